@@ -110,31 +110,25 @@ extras_require = {
 }
 
 
-def version():
+def read_version():
     """Return the version, which only the package itself states."""
     text = (here / package_name / '__init__.py').read_text(encoding='utf-8')
-    return re.search(r"^__version__ = '([^']+)'$", text, re.MULTILINE).group(1)
+    found = re.search(r"^__version__ = '([^']+)'$", text, re.MULTILINE)
+    return found.group(1)
 
 
-def config_files():
-    """Return the entries of `data_files` for config/, one for each folder."""
-    folders = sorted(
-        {path.parent for path in here.glob('config/**/*') if path.is_file()}
-    )
-    return [
-        (
-            f'{share}/{folder.relative_to(here).as_posix()}',
-            sorted(
-                str(path.relative_to(here))
-                for path in folder.iterdir()
-                if path.is_file()
-            ),
-        )
-        for folder in folders
-    ]
+def list_config_files():
+    """Return the entries of `data_files` for config/: each folder with its files."""
+    files_by_folder = {}
+    for path in sorted(here.glob('config/**/*')):
+        if path.is_file():
+            file = path.relative_to(here)
+            folder = f'{share}/{file.parent.as_posix()}'
+            files_by_folder.setdefault(folder, []).append(str(file))
+    return list(files_by_folder.items())
 
 
-def ros2_run_wrappers():
+def write_ros2_run_wrappers():
     """
     Return the entry of `data_files` that lets `ros2 run` find what pip installed.
 
@@ -142,11 +136,13 @@ def ros2_run_wrappers():
     which pip ignores; so a wheel (and the Makefile's `install_data`) carries small scripts that
     call those in bin/. With colcon they would collide, so they are left out.
     """
+    # colcon calls install_data, too, but behind other commands.
     commands = [argument for argument in sys.argv[1:] if not argument.startswith('-')]
     if 'bdist_wheel' not in commands and commands[:1] != ['install_data']:
         return []
     folder = here / 'build' / 'ros2_run'
     folder.mkdir(parents=True, exist_ok=True)
+    wrappers = []
     for name in console_scripts:
         path = folder / name
         path.write_text(
@@ -154,13 +150,13 @@ def ros2_run_wrappers():
             encoding='utf-8',
         )
         path.chmod(0o755)
-    wrappers = [str((folder / name).relative_to(here)) for name in console_scripts]
+        wrappers.append(str(path.relative_to(here)))
     return [(f'lib/{package_name}', wrappers)]
 
 
 setup(
     name=package_name,
-    version=version(),
+    version=read_version(),
     description='Multi-contact compliant motion control with active observers on ROS 2',
     author='multicontact_control maintainers',
     maintainer='multicontact_control maintainers',
@@ -174,8 +170,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (share, ['package.xml']),
-        *config_files(),
-        *ros2_run_wrappers(),
+        *list_config_files(),
+        *write_ros2_run_wrappers(),
     ],
     zip_safe=False,
     install_requires=install_requires,

@@ -6,6 +6,7 @@ pinocchio: --tsid-python names the Python of its environment (docs/experiments.m
 """
 
 import argparse
+from functools import partial
 import json
 from pathlib import Path
 import subprocess
@@ -56,13 +57,22 @@ POINTS = np.array(
 )
 
 
-def setup_of(duration=None):
-    """Return the scenario of all measurements."""
+def resolve_setup(duration=None):
+    """
+    Return the setup of all measurements: the scenario `quick` on the rigid plant.
+
+    `duration` is another length than its own [s].
+    """
     return resolve('quick', plant='rigid', seed=0, duration=duration)
 
 
-def race(work, floor, count, lap, restart):
-    """Time something and, after each call, its floor [us]; `restart` comes before each `lap`."""
+def time_beside_floor(work, floor, count, lap, restart):
+    """
+    Time something and, after each call, its floor, `count` times.
+
+    Both are called with their place in a lap of `lap` calls; `restart` comes before each lap.
+    Returns percentiles of both [us], the ratio of the medians, and whether the floor is noisy.
+    """
     times = np.zeros((count, 2))
     for k in range(count):
         place = k % lap
@@ -73,15 +83,14 @@ def race(work, floor, count, lap, restart):
         done = perf_counter_ns()
         floor(place)
         times[k] = done - start, perf_counter_ns() - done
-    taken, bare = (
-        dict(zip(('p50', 'p99'), np.percentile(1e-3 * each, (50.0, 99.0)).tolist()))
-        for each in times.T
-    )
+    (work_p50, floor_p50), (work_p99, floor_p99) = np.percentile(
+        1e-3 * times, (50.0, 99.0), axis=0
+    ).tolist()
     return {
-        'us': taken,
-        'floor_us': bare,
-        'ratio': taken['p50'] / bare['p50'],
-        'noisy': bare['p99'] > NOISY * bare['p50'],
+        'us': {'p50': work_p50, 'p99': work_p99},
+        'floor_us': {'p50': floor_p50, 'p99': floor_p99},
+        'ratio': work_p50 / floor_p50,
+        'noisy': floor_p99 > NOISY * floor_p50,
     }
 
 
@@ -89,7 +98,8 @@ def bare_dynamics(setup):
     """Return a function that makes pinocchio's calls for M, C v + g, J and dJ/dt v."""
     robot = setup.controller.robot
     model = pin.buildModelFromUrdf(str(setup.urdf_dir / robot.urdf))
-    data, frame = model.createData(), model.getFrameId(robot.operational_frame)
+    data = model.createData()
+    frame = model.getFrameId(robot.operational_frame)
     zero = np.zeros(model.nv)
 
     def compute(q, v):
@@ -103,11 +113,15 @@ def bare_dynamics(setup):
 
 
 def bench_tick(count, *, supervised, estimated=True):
-    """Time a tick, with the noise estimator if `estimated`, and the bare dynamics."""
-    setup = setup_of()
-    config, data = setup.controller, run_in_process(setup, supervised=supervised).data
-    series = data.q, data.qd, getattr(data, config.wrench_series), data.effort
-    samples = [[x[k].copy() for x in series] for k in range(data.ticks)]
+    """
+    Time a tick of the loop beside the bare dynamics, on the samples of a recorded run.
+
+    Contact states, watchdogs and limits are timed, too, if `supervised`; the noise estimator if
+    `estimated`. The floor are the calls of pinocchio that no controller of the kind does without.
+    """
+    setup = resolve_setup()
+    config = setup.controller
+    samples = record_samples(setup, supervised)
     loop = ControlLoop(
         config,
         setup.reference(),
@@ -115,25 +129,22 @@ def bench_tick(count, *, supervised, estimated=True):
         setup.urdf_dir,
         supervised=supervised,
     )
-    estimator, compute = (
-        make_noise_estimator(setup.noise_estimator),
-        bare_dynamics(setup),
-    )
+    estimator = make_noise_estimator(setup.noise_estimator)
+    compute = bare_dynamics(setup)
     variance = None
 
     def step(place):
         nonlocal variance
-        time, (q, qd, wrench, effort) = place * config.period, samples[place]
-        loop.step(
-            TickInputs(
-                time,
-                JointInput(time, q, qd, effort),
-                WrenchInput(time, wrench),
-                variance,
-            )
-        )
+        time = place * config.period
+        q, qd, wrench, effort = samples[place]
+        joints = JointInput(time, q, qd, effort)
+        loop.step(TickInputs(time, joints, WrenchInput(time, wrench), variance))
         if estimated and loop.output is not None:
             variance = VarianceInput(time, estimate_variance(estimator, loop.output))
+
+    def compute_floor(place):
+        q, qd, _, _ = samples[place]
+        compute(q, qd)
 
     def restart():
         nonlocal variance
@@ -141,19 +152,36 @@ def bench_tick(count, *, supervised, estimated=True):
         estimator.reset()
         variance = None
 
-    return race(
-        step, lambda place: compute(*samples[place][:2]), count, len(samples), restart
-    )
+    return time_beside_floor(step, compute_floor, count, len(samples), restart)
+
+
+def record_samples(setup, supervised):
+    """
+    Return position, velocity, wrench and measured torque of each sample of a run in process.
+
+    The wrench is that of the configured series; each reading is an array of its own.
+    """
+    data = run_in_process(setup, supervised=supervised).data
+    wrench = getattr(data, setup.controller.wrench_series)
+    series = (data.q, data.qd, wrench, data.effort)
+    return [[values[k].copy() for values in series] for k in range(data.ticks)]
 
 
 def bench_plant(count):
-    """Time a period of the plant, and `stepSimulation` of a bare arm as often as its substeps."""
-    config = setup_of().plant
+    """
+    Time a period of the plant beside `stepSimulation` of a bare arm, as often as its substeps.
+
+    The arm falls, without control, and is put back every half second.
+    """
+    config = resolve_setup().plant
     plant = Plant(config, rate=RATE, seed=0)
     bare = BulletArm(plant.description, config.gravity_world, config.substep)
     substeps = range(config.substeps(RATE))
 
-    def floor(_):
+    def step_plant(_):
+        plant.step(plant.initial_torque)
+
+    def step_bare(_):
         for _ in substeps:
             pybullet.stepSimulation(physicsClientId=bare.client)
 
@@ -161,46 +189,36 @@ def bench_plant(count):
         plant.reset()
         bare.reset(np.array(config.home))
 
-    times = race(lambda _: plant.step(plant.initial_torque), floor, count, FALL, reset)
+    times = time_beside_floor(step_plant, step_bare, count, FALL, reset)
     plant.close()
     bare.close()
     return times
 
 
 def bench_contacts(count):
-    """Return the median time of a tick of the bare law [us] by the number of contacts."""
-    setup, random, medians = setup_of(), np.random.default_rng(0), {}
+    """
+    Return the median time of a tick of the bare law [us] by the number of contacts.
+
+    The samples are random postures about home, with random wrenches, so that nothing is steady.
+    """
+    setup = resolve_setup()
+    random = np.random.default_rng(0)
     home = np.array(setup.plant.home)
-    pose = (
-        RobotModel(setup.controller.robot, setup.urdf_dir).update(home, 0.0 * home).pose
-    )
-    table, points = setup.controller.contacts['table'], POINTS @ pose.rotation_world
+    rest = JointInput(0.0, home, 0.0 * home)
+    medians = {}
     for contacts in range(1, len(NORMALS) + 1):
-        names = [f'contact{k + 1}' for k in range(contacts)]
-        config = setup.controller.model_copy(
-            update={
-                'contact_names': tuple(names),
-                'contacts': {
-                    name: table.model_copy(
-                        update={'normal_world': (*n,), 'point_operational': (*p,)}
-                    )
-                    for name, n, p in zip(names, NORMALS, points)
-                },
-            }
-        )
+        config = configure_contacts(setup, contacts)
         loop = ControlLoop(
             config, None, CommandLimits(), setup.urdf_dir, supervised=False
         )
-        rest = JointInput(0.0, home, 0.0 * home)
         loop.step(TickInputs(0.0, rest, WrenchInput(0.0, np.zeros(6))))
-        loop.set_forces(dict.fromkeys(names, 5.0))
+        loop.set_forces(dict.fromkeys(config.contact_names, 5.0))
         times = np.zeros(count)
         for k in range(count):
             move, speed, wrench = random.standard_normal((3, 6))
-            time, q = (k + 1) * config.period, home + 0.02 * move
-            inputs = TickInputs(
-                time, JointInput(time, q, 0.1 * speed), WrenchInput(time, wrench)
-            )
+            time = (k + 1) * config.period
+            joints = JointInput(time, home + 0.02 * move, 0.1 * speed)
+            inputs = TickInputs(time, joints, WrenchInput(time, wrench))
             start = perf_counter_ns()
             loop.step(inputs)
             times[k] = perf_counter_ns() - start
@@ -208,58 +226,102 @@ def bench_contacts(count):
     return medians
 
 
+def configure_contacts(setup, count):
+    """
+    Return the controller's configuration with the first `count` of the six contacts.
+
+    They are parameters of the table but for normal and point, which are independent at home.
+    """
+    home = np.array(setup.plant.home)
+    robot = RobotModel(setup.controller.robot, setup.urdf_dir)
+    rotation = robot.update(home, 0.0 * home).pose.rotation_world
+    contacts = {}
+    for k in range(count):
+        contacts[f'contact{k + 1}'] = setup.controller.contacts['table'].model_copy(
+            update={
+                'normal_world': tuple(NORMALS[k]),
+                'point_operational': tuple(POINTS[k] @ rotation),
+            }
+        )
+    return setup.controller.model_copy(
+        update={'contact_names': tuple(contacts), 'contacts': contacts}
+    )
+
+
 def bench_graph(duration):
-    """Run the graph [s] in lockstep and in real time: latency, misses, load of each node."""
+    """
+    Run the graph in lockstep and in real time, each for a duration [s]; needs ROS.
+
+    Returns for both how fast time passed, the latency from sample to command, the deadlines that
+    were missed, and how much of a core each node took.
+    """
     from multicontact_control.runs.graph.run import run_graph  # needs ROS
     from multicontact_control.runs.graph.spec import GraphSpec, START_ORDER
 
-    setup, results = setup_of(duration), {}
+    setup = resolve_setup(duration)
+    results = {}
     for mode in ('lockstep', 'real_time'):
         spent = []  # times of the wall and the nodes [s], a few times a second
 
-        def look(_progress, spent=spent):
-            now = {'wall': 1e-9 * perf_counter_ns()}
-            for process in psutil.Process().children(recursive=True):
-                command = ' '.join(process.cmdline()).split()[
-                    :3
-                ]  # NODE, or python -m MODULE
-                now |= {
-                    x: sum(process.cpu_times()[:2])
-                    for x in START_ORDER
-                    if any(word.endswith(x) for word in command)
-                }
-            spent.append(now)
+        def note_times(_progress, spent=spent):
+            spent.append(read_processor_times(START_ORDER))
 
         with TemporaryDirectory() as folder:
             out = Path(folder)
-            sim = run_graph(
-                GraphSpec(
-                    out=out,
-                    ticks=setup.ticks,
-                    rate=RATE,
-                    free_running=mode == 'real_time',
-                    reference_file=out / 'config/reference.yaml',
-                    parameter_files=setup.write(out / 'config'),
-                ),
-                look,
-            ).timing['sim_node']
-        first, last = spent[0], spent[-1]
+            spec = GraphSpec(
+                out=out,
+                ticks=setup.ticks,
+                rate=RATE,
+                free_running=mode == 'real_time',
+                reference_file=out / 'config/reference.yaml',
+                parameter_files=setup.write(out / 'config'),
+            )
+            sim = run_graph(spec, note_times).timing['sim_node']
+        first = spent[0]
+        last = spent[-1]
+        wall = last['wall'] - first['wall']
+        cores = {}
+        for name in START_ORDER:
+            if name in first and name in last:
+                cores[name] = (last[name] - first[name]) / wall
         results[mode] = {
             'realtime_factor': duration / sim['wall_s'],
-            **{name: sim[name] for name in ('latency_us', 'deadline_misses', 'ticks')},
-            'cores': {
-                name: (last[name] - first[name]) / (last['wall'] - first['wall'])
-                for name in START_ORDER
-                if name in first and name in last
-            },
+            'latency_us': sim['latency_us'],
+            'deadline_misses': sim['deadline_misses'],
+            'ticks': sim['ticks'],
+            'cores': cores,
         }
     return results
 
 
-def bench_tsid(python, law):
-    """Return TSID's times on the samples beside the `law`'s; RuntimeError if it cannot be run."""
-    setup = setup_of()
-    config, data = setup.controller, run_in_process(setup).data
+def read_processor_times(nodes):
+    """
+    Return the time of the wall, and what each node has computed until now [s].
+
+    Nodes are children of this process, and are known by their command; an absent one is left out.
+    """
+    times = {'wall': 1e-9 * perf_counter_ns()}
+    for process in psutil.Process().children(recursive=True):
+        # NODE, or python -m MODULE.
+        command = ' '.join(process.cmdline()).split()[:3]
+        for node in nodes:
+            if any(word.endswith(node) for word in command):
+                used = process.cpu_times()
+                times[node] = used.user + used.system
+    return times
+
+
+def bench_tsid(python, result):
+    """
+    Return TSID's times on the samples, beside those of the law alone in `result`.
+
+    `python` is that of TSID's environment. Raises RuntimeError if it cannot be run.
+    """
+    law = result['law alone']
+    setup = resolve_setup()
+    config = setup.controller
+    data = run_in_process(setup).data
+    names = config.contact_names
     with TemporaryDirectory() as folder:
         path = Path(folder) / 'problem.npz'
         np.savez(
@@ -267,10 +329,8 @@ def bench_tsid(python, law):
             urdf=str((setup.urdf_dir / config.robot.urdf).resolve()),
             frame=config.robot.operational_frame,
             torque_limit=config.torque_limit,
-            tips=[setup.plant.surfaces[name].tip_link for name in config.contact_names],
-            normals=[
-                config.contacts[name].normal_world for name in config.contact_names
-            ],
+            tips=[setup.plant.surfaces[name].tip_link for name in names],
+            normals=[config.contacts[name].normal_world for name in names],
             q=data.q,
             qd=data.qd,
         )
@@ -279,7 +339,7 @@ def bench_tsid(python, law):
             [python, '-I', script, path], capture_output=True, text=True
         )
     if done.returncode:
-        raise RuntimeError(done.stderr.rpartition('\n')[0].rpartition('\n')[2])
+        raise RuntimeError(done.stderr.splitlines()[-1])
     answer = json.loads(done.stdout.splitlines()[-1])
     floor = float(np.median(answer.pop('tick_us')))
     return {
@@ -311,19 +371,21 @@ def main(arguments=None):
         '--tsid-python', default=sys.executable, help='Python that has TSID'
     )
     options = parser.parse_args(arguments)
-    count, result = options.ticks, {}
+    count = options.ticks
+    result = {}
     ensure_compiled()
     settle_process()
-    graph = [('graph', lambda: bench_graph(options.seconds))] if options.seconds else []
-    for name, measure in (
-        ('bare tick', lambda: bench_tick(count, supervised=False)),
-        ('supervised tick', lambda: bench_tick(count, supervised=True)),
-        ('law alone', lambda: bench_tick(count, supervised=False, estimated=False)),
-        ('plant', lambda: bench_plant(min(count, 5000))),
-        ('contacts', lambda: bench_contacts(max(200, count // 10))),
-        *graph,
-        ('law over TSID', lambda: bench_tsid(options.tsid_python, result['law alone'])),
-    ):
+    measurements = {
+        'bare tick': partial(bench_tick, count, supervised=False),
+        'supervised tick': partial(bench_tick, count, supervised=True),
+        'law alone': partial(bench_tick, count, supervised=False, estimated=False),
+        'plant': partial(bench_plant, min(count, 5000)),
+        'contacts': partial(bench_contacts, max(200, count // 10)),
+    }
+    if options.seconds:
+        measurements['graph'] = partial(bench_graph, options.seconds)
+    measurements['law over TSID'] = partial(bench_tsid, options.tsid_python, result)
+    for name, measure in measurements.items():
         print(name, '...', flush=True)
         try:
             result[name] = measure()
@@ -336,10 +398,15 @@ def main(arguments=None):
 
 
 def print_tables(result):
-    """Print the figures [us], and those of the graph."""
-    print(
-        pd.DataFrame(
-            [
+    """
+    Print the figures of each part beside its floor [us], and those of the graph.
+
+    A part that was skipped is not in the table.
+    """
+    rows = []
+    for name, part in result.items():
+        if 'us' in part:
+            rows.append(
                 {
                     'part': name,
                     'p50': part['us']['p50'],
@@ -348,18 +415,13 @@ def print_tables(result):
                     'ratio': part['ratio'],
                     'noisy': part['noisy'],
                 }
-                for name, part in result.items()
-                if 'us' in part
-            ]
-        )
-        .round(2)
-        .to_string(index=False)
-    )
-    print('law, 1 to 6 contacts:', *(f'{x:.0f}' for x in result['contacts'].values()))
-    if graph := result.get('graph'):
-        print(
-            pd.json_normalize(list(graph.values())).set_axis(list(graph)).T.to_string()
-        )
+            )
+    print(pd.DataFrame(rows).round(2).to_string(index=False))
+    medians = ' '.join(f'{median:.0f}' for median in result['contacts'].values())
+    print('law, 1 to 6 contacts:', medians)
+    if 'graph' in result:
+        graph = pd.json_normalize(list(result['graph'].values()))
+        print(graph.set_axis(list(result['graph'])).T.to_string())
 
 
 if __name__ == '__main__':

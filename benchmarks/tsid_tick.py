@@ -16,14 +16,17 @@ import numpy as np
 import pinocchio as pin
 from tsid import tsid_pywrap as tsid
 
-PERIOD, LAPS = 0.002, 4  # s; laps over the samples, the first to warm up
-FREQUENCY, FRICTION = (
-    30.0,
-    0.3,
-)  # rad/s of the motion tasks, critically damped; of the contacts
-FORCE_WANTED, LARGEST_FORCE = 10.0, 100.0  # N
+PERIOD = 0.002  # s
+LAPS = 4  # over the samples, the first to warm up
+FREQUENCY = 30.0  # rad/s, of the motion tasks, critically damped
+FRICTION = 0.3  # coefficient of the contacts
+FORCE_WANTED = 10.0  # N
+LARGEST_FORCE = 100.0  # N
 # Weights of the costs: motion before posture, forces near what is wanted.
-MOTION, POSTURE, CONTACT, FORCE = 1.0, 1e-3, 1e-1, 1e-3
+MOTION_WEIGHT = 1.0
+POSTURE_WEIGHT = 1e-3
+CONTACT_WEIGHT = 1e-1
+FORCE_WEIGHT = 1e-3
 
 
 def main():
@@ -32,7 +35,8 @@ def main():
         problem = dict(file)
     robot = tsid.RobotWrapper(str(problem['urdf']), pin.StdVec_StdString(), False)
     dynamics = tsid.InverseDynamicsFormulationAccForce('tick', robot, False)
-    home, frame = problem['q'][0], str(problem['frame'])
+    home = problem['q'][0]
+    frame = str(problem['frame'])
     dynamics.computeProblemData(0.0, home, np.zeros_like(home))
     data = dynamics.data()
 
@@ -44,12 +48,15 @@ def main():
     posture.setReference(
         tsid.TrajectoryEuclidianConstant('posture_wanted', home).computeNext()
     )
-    for task, size, weight in ((pose, 6, MOTION), (posture, len(home), POSTURE)):
+    for task, size, weight in (
+        (pose, 6, MOTION_WEIGHT),
+        (posture, len(home), POSTURE_WEIGHT),
+    ):
         task.setKp(FREQUENCY**2 * np.ones(size))
         task.setKd(2.0 * FREQUENCY * np.ones(size))
         dynamics.addMotionTask(task, weight, 1, 0.0)
     contacts = []  # TSID itself keeps references only
-    for tip, normal in zip(map(str, problem['tips']), -problem['normals']):
+    for tip, normal in zip(problem['tips'].tolist(), -problem['normals']):
         contact = tsid.ContactPoint(
             tip, robot, tip, normal, FRICTION, 0.0, LARGEST_FORCE
         )
@@ -59,7 +66,7 @@ def main():
         contact.setReference(pose_of(tip))
         contact.setForceReference(FORCE_WANTED * normal)
         contact.setRegularizationTaskWeightVector(np.ones(3))
-        dynamics.addRigidContact(contact, FORCE, CONTACT, 1)
+        dynamics.addRigidContact(contact, FORCE_WEIGHT, CONTACT_WEIGHT, 1)
         contacts.append(contact)
     limit = tsid.TaskActuationBounds('torque_limit', robot)
     limit.setBounds(-problem['torque_limit'], problem['torque_limit'])
@@ -75,7 +82,8 @@ def main():
     gc.freeze()
     gc.disable()
     for _ in range(LAPS):
-        times, unsolved = [], 0
+        times = []
+        unsolved = 0
         for k, (q, v, wanted) in enumerate(samples):
             start = perf_counter_ns()
             pose.setReference(wanted)
@@ -85,16 +93,13 @@ def main():
             else:
                 unsolved += 1
             times.append((perf_counter_ns() - start) / 1e3)
-    print(
-        json.dumps(
-            {
-                'tick_us': times,
-                'unsolved': unsolved,
-                'pinocchio': pin.__version__,
-                'variables': dynamics.nVar,
-            }
-        )
-    )
+    answer = {
+        'tick_us': times,
+        'unsolved': unsolved,
+        'pinocchio': pin.__version__,
+        'variables': dynamics.nVar,
+    }
+    print(json.dumps(answer))
 
 
 if __name__ == '__main__':

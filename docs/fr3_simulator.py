@@ -19,9 +19,10 @@ from pathlib import Path
 import signal
 import sys
 from typing import Any
-import xml.etree.ElementTree as ElementTree
+from xml.etree.ElementTree import SubElement as add_element
+from xml.etree.ElementTree import tostring
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Vector3, WrenchStamped
 import mujoco
 import numpy as np
 import rclpy
@@ -33,107 +34,130 @@ TIP_RADIUS = 0.005  # m
 PROFILE = Path(__file__).resolve().parents[1] / 'config' / 'fastdds.xml'
 NOISE = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # N, N m, of the sensor, rms
 FORCE_DIVIDER = 20  # steps for each message of contact forces
+UNTOUCHED = {'contype': '0', 'conaffinity': '0'}  # touches in its pairs alone
 
 
-def numbers(values: Any) -> str:
-    """Return numbers as MJCF has them."""
+def format_numbers(values: Any) -> str:
+    """Return numbers as MJCF has them, with blanks between and nine digits each."""
     return ' '.join(f'{value:.9g}' for value in values)
 
 
 def write_scene(simulator: Any, prefix: str, robot: Any) -> None:
-    """Put sensor and tool in the place of the hand, and a surface before each tip at home."""
+    """
+    Put sensor and tool in the place of the hand, and a surface before each tip at home.
+
+    `simulator` is franky-sim's, whose MJCF is changed; `prefix` begins the names of its arm;
+    `robot` is that of config/robots.
+    """
     from sim_bridge.arm import SENSOR_FRAME
     from sim_bridge.posture import frame_pose
 
-    arm, plant = robot.arm, robot.plant_values('')
-    elements = {element.get('name'): element for element in simulator.worldbody.iter()}
-    hand, face = (
-        elements[f'{prefix}hand'],
-        np.array([0.0, 0.0, robot.file.tool.face_offset]),
-    )
-    for element in list(hand):
-        if element.tag in ('geom', 'inertial'):
-            hand.remove(element)
-    for finger in hand:  # its joints are asked for
-        for element in list(finger):
-            if element.tag == 'geom':
-                finger.remove(element)
-        finger.find('inertial').attrib.update(mass='1e-5', diaginertia='1e-9 1e-9 1e-9')
-    ElementTree.SubElement(
-        hand,
-        'inertial',
-        mass=str(arm.carried_mass),
-        pos=numbers(face + arm.carried_com),
-        diaginertia=numbers(arm.tool.inertia),
-    )
-    ElementTree.SubElement(hand, 'site', name=SENSOR_FRAME, pos=numbers(face))
+    arm = robot.arm
+    plant = robot.plant_values('')
+    face = np.array([0.0, 0.0, robot.file.tool.face_offset])
+    hand = simulator.worldbody.find(f".//*[@name='{prefix}hand']")
+    replace_hand(hand, arm, face)
+    add_element(hand, 'site', name=SENSOR_FRAME, pos=format_numbers(face))
     simulator.scene.find('option').set('cone', 'elliptic')  # a pyramid would be stiffer
-    pairs = simulator.scene.find('contact')
     turn = frame_pose(arm.model(), np.array(plant['home']), SENSOR_FRAME).rotation
+    stiffnesses = []
     for name in plant['contact_names']:
         surface = plant['surfaces'][name]
-        tip, normal = (
-            np.array(arm.tips[surface['tip_link']]),
-            np.array(surface['normal_world']),
-        )
-        free = {'contype': '0', 'conaffinity': '0'}
-        ElementTree.SubElement(
-            hand,
-            'geom',
-            type='capsule',
-            size='0.004',
-            mass='0',
-            fromto=numbers([*face, *(face + tip)]),
-            **free,
-        )
-        ElementTree.SubElement(
-            hand,
-            'geom',
-            name=surface['tip_link'],
-            type='sphere',
-            size=str(TIP_RADIUS),
-            mass='0',
-            pos=numbers(face + tip - TIP_RADIUS * turn.T @ normal),
-            **free,
-        )
-        ElementTree.SubElement(
+        stiffnesses.append(surface['stiffness'])
+        tip_name = surface['tip_link']
+        tip = face + np.array(arm.tips[tip_name])
+        normal = np.array(surface['normal_world'])
+        add_tip(hand, tip_name, face, tip, turn.T @ normal)
+        add_element(
             simulator.worldbody,
             'geom',
             name=name,
             type='plane',
             size='0.2 0.2 0.01',
-            pos=numbers(surface['point_world']),
-            zaxis=numbers(-normal),
-            **free,
+            pos=format_numbers(surface['point_world']),
+            zaxis=format_numbers(-normal),
+            **UNTOUCHED,
         )
-        ElementTree.SubElement(
-            pairs,
+        add_element(
+            simulator.scene.find('contact'),
             'pair',
             name=name,
             geom1=name,
-            geom2=surface['tip_link'],
+            geom2=tip_name,
             condim='3',
             friction='0.1 0.1 0 0 0',
             solimp=f'{IMPEDANCE} {IMPEDANCE} 0.001 0.5 1',
         )
-    sensors = ElementTree.SubElement(simulator.scene, 'sensor')
+    sensors = add_element(simulator.scene, 'sensor')
     for kind in ('force', 'torque'):
-        ElementTree.SubElement(sensors, kind, site=SENSOR_FRAME)
-    custom = ElementTree.SubElement(
-        simulator.scene, 'custom'
-    )  # what MJCF has no words for
-    for key, values in (
-        ('home', plant['home']),
-        (
-            'stiffness',
-            [plant['surfaces'][name]['stiffness'] for name in plant['contact_names']],
-        ),
-    ):
-        ElementTree.SubElement(custom, 'numeric', name=key, data=numbers(values))
+        add_element(sensors, kind, site=SENSOR_FRAME)
+    custom = add_element(simulator.scene, 'custom')  # what MJCF has no words for
+    add_element(custom, 'numeric', name='home', data=format_numbers(plant['home']))
+    add_element(custom, 'numeric', name='stiffness', data=format_numbers(stiffnesses))
+
+
+def replace_hand(hand: Any, arm: Any, face: Any) -> None:
+    """
+    Take shapes and mass off hand and fingers, and give the hand the mass of the tool.
+
+    `face` is where the tool begins, in the frame of the hand, shape (3,) [m]. The fingers stay,
+    with next to no mass: franky-sim asks for their joints.
+    """
+    remove_elements(hand, 'geom', 'inertial')
+    for finger in hand:  # their joints are asked for
+        remove_elements(finger, 'geom')
+        finger.find('inertial').attrib.update(mass='1e-5', diaginertia='1e-9 1e-9 1e-9')
+    add_element(
+        hand,
+        'inertial',
+        mass=str(arm.carried_mass),
+        pos=format_numbers(face + arm.carried_com),
+        diaginertia=format_numbers(arm.tool.inertia),
+    )
+
+
+def remove_elements(parent: Any, *tags: str) -> None:
+    """Remove the children of an element that have one of some tags; theirs go with them."""
+    for element in list(parent):
+        if element.tag in tags:
+            parent.remove(element)
+
+
+def add_tip(hand: Any, name: str, face: Any, tip: Any, normal: Any) -> None:
+    """
+    Add a rod from the tool's face to a tip, and the ball that touches at its end.
+
+    Places are in the frame of the hand, shape (3,) [m]; `normal` points into the surface, and the
+    ball touches at the tip.
+    """
+    add_element(
+        hand,
+        'geom',
+        type='capsule',
+        size='0.004',
+        mass='0',
+        fromto=format_numbers([*face, *tip]),
+        **UNTOUCHED,
+    )
+    add_element(
+        hand,
+        'geom',
+        name=name,
+        type='sphere',
+        size=str(TIP_RADIUS),
+        mass='0',
+        pos=format_numbers(tip - TIP_RADIUS * normal),
+        **UNTOUCHED,
+    )
 
 
 class Sensor:
-    """The driver of the simulated sensor; called after each step of the physics."""
+    """
+    The driver of the simulated sensor; called after each step of the physics.
+
+    It is a node of its own, on this machine alone. Its constructor also gives the surfaces the
+    stiffness of config/robots, which MJCF cannot say in newtons per metre.
+    """
 
     def __init__(self, model: Any) -> None:
         os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -148,7 +172,8 @@ class Sensor:
         )
         self._message = WrenchStamped()
         self._names = [model.pair(i).name for i in range(model.npair)]
-        self._steps, self._random = 0, np.random.default_rng(0)
+        self._steps = 0
+        self._random = np.random.default_rng(0)
         # The force of a pair is (-b v - k r) / R, R = A (1 - d) / d; solref is (-k d, -b d).
         for i, stiffness in enumerate(model.numeric('stiffness').data):
             body = model.geom_bodyid[model.pair_geom2[i]]
@@ -158,26 +183,40 @@ class Sensor:
     def publish(self, model: Any, data: Any) -> None:
         """Publish what the arm does to the tool, and now and then the forces of the contacts."""
         message = self._message
-        values = (data.sensordata + NOISE * self._random.normal(size=6)).tolist()
-        force, torque = message.wrench.force, message.wrench.torque
-        force.x, force.y, force.z, torque.x, torque.y, torque.z = values
+        reading = data.sensordata + NOISE * self._random.normal(size=6)
+        force, torque = reading.reshape(2, 3).tolist()
+        message.wrench.force = Vector3(x=force[0], y=force[1], z=force[2])
+        message.wrench.torque = Vector3(x=torque[0], y=torque[1], z=torque[2])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._wrench.publish(message)
         self._steps += 1
         if self._steps % FORCE_DIVIDER == 0:
-            touch, forces = np.zeros(6), dict.fromkeys(self._names, 0.0)
-            for i in range(data.ncon):
-                geom = model.geom(int(data.contact[i].geom1)).name
-                if geom in forces:
-                    mujoco.mj_contactForce(model, data, i, touch)
-                    forces[geom] += float(touch[0])
-            truth = JointState(name=self._names, effort=list(forces.values()))
+            forces = self._contact_forces(model, data)
+            truth = JointState(name=list(forces), effort=list(forces.values()))
             truth.header.stamp = message.header.stamp
             self._forces.publish(truth)
 
+    def _contact_forces(self, model: Any, data: Any) -> dict[str, float]:
+        """Return the normal force of each pair [N], by its name."""
+        forces = dict.fromkeys(self._names, 0.0)
+        wrench = np.zeros(
+            6
+        )  # of one contact, along its own axes: the first is the normal
+        for i in range(data.ncon):
+            name = model.geom(int(data.contact[i].geom1)).name
+            if name in forces:
+                mujoco.mj_contactForce(model, data, i, wrench)
+                forces[name] += float(wrench[0])
+        return forces
+
 
 def run_franky_sim(address: str, output: Path | None) -> None:
-    """Run franky-sim on a port of this machine, or write its scene to a file."""
+    """
+    Run franky-sim at an address of this machine, or write its scene to a file and return.
+
+    SIGUSR1 presses the user stop, or releases it. Raises OSError if another simulator has the
+    port.
+    """
     from franky_sim import franka_robot_server, simulation_server
     from franky_sim.base_simulator import RobotParameters
     from franky_sim.franka_robot_protocol import (
@@ -190,10 +229,10 @@ def run_franky_sim(address: str, output: Path | None) -> None:
     from sim_bridge.robots import find_robot
 
     robot = find_robot('fr3')
-    arm, stopped = robot.arm, [False]
+    arm = robot.arm
     flange = (
         arm.operational.transform.rotation
-    )  # of the vendor's flange, in which its load is given
+    )  # the vendor's, in which the load is given
     face = np.array([0.0, 0.0, robot.file.tool.face_offset])
     with MujocoSimulator() as simulator:
         simulated = simulator.add_robot(
@@ -206,22 +245,26 @@ def run_franky_sim(address: str, output: Path | None) -> None:
         )
         write_scene(simulator, 'robot0_', robot)
         if output is not None:
-            output.write_text(ElementTree.tostring(simulator.scene, encoding='unicode'))
+            output.write_text(tostring(simulator.scene, encoding='unicode'))
             return
 
         class Server(franka_robot_server.FrankaRobotServer):
             """With a user stop, which franky-sim lacks."""
 
+            stopped = False
+
             @property
             def robot_state(self) -> Any:
-                mode = {'robot_mode': RobotMode.kUserStopped} if stopped[0] else {}
-                return super().robot_state.replace(**mode)
+                state = super().robot_state
+                if self.stopped:
+                    state = state.replace(robot_mode=RobotMode.kUserStopped)
+                return state
 
-            def press(self) -> None:
+            def press_stop(self) -> None:
                 """Press the user stop or release it; the arm then holds its position."""
-                stopped[0] = not stopped[0]
+                self.stopped = not self.stopped
                 motion = self.current_motion_id
-                if stopped[0] and motion:
+                if self.stopped and motion:
                     self.stop_motion(send_preemption_signal=False)
                     BaseCommand.send_response(
                         self._tcp_socket,
@@ -230,28 +273,32 @@ def run_franky_sim(address: str, output: Path | None) -> None:
                         MoveStatus.kPreemptedDueToActivatedSafetyFunctions,
                     )
                     self.reset_current_motion_id()
-                print(
-                    f'user stop {"pressed" if stopped[0] else "released"}', flush=True
-                )
+                change = 'pressed' if self.stopped else 'released'
+                print(f'user stop {change}', flush=True)
 
         simulation_server.FrankaRobotServer = Server
         with simulation_server.SimulationServer(simulator, [address]) as server:
             sensor = Sensor(simulator.model)
             simulator.register_post_step_callback(
-                lambda sim: sensor.publish(sim.model, sim.data)
+                lambda stepped: sensor.publish(stepped.model, stepped.data)
             )
-            pressed = []
-            signal.signal(signal.SIGUSR1, lambda *_: pressed.append(True))
+            presses: list[int] = []
+            signal.signal(signal.SIGUSR1, lambda number, frame: presses.append(number))
             print(f'FR3 at {simulated.hostname}; Ctrl-C ends it', flush=True)
             while True:
                 server.run_once()
-                if pressed:
-                    pressed.clear()
-                    server.robot_servers[0].press()
+                if presses:
+                    presses.clear()
+                    server.robot_servers[0].press_stop()
 
 
 def run_franka_sim(address: str, scene: Path) -> None:
-    """Run franka-sim with a scene from a file; it aborts motions as the arm does."""
+    """
+    Run franka-sim with a scene from a file; it aborts motions as the real arm does.
+
+    It checks the limits of commands and their rate, and needs neither this package nor its
+    robots.
+    """
     from franka_sim import FrankaSimServer, mujoco_franka_sim
 
     os.environ['FR3_MJCF'] = str(scene)

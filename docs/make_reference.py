@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import inspect
+from itertools import pairwise
 import json
 from pathlib import Path
 import re
@@ -19,7 +20,7 @@ import typing
 from typing import Any, Literal, NamedTuple, Union
 
 from multicontact_control.cli.application import app, FOLDERS
-from multicontact_control.cli.options import described
+from multicontact_control.cli.options import describe_files
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
 from multicontact_control.faults.situation import SituationConfig
 from multicontact_control.nodes import qos, topics
@@ -59,11 +60,24 @@ FILES: dict[str, tuple[str, type[Config]]] = {
 }
 TYPES = {bool: 'bool', int: 'int', float: 'float', str: 'string', Any: 'any'}
 VALUES = {bool: '', int: 'INTEGER', float: 'NUMBER', str: 'TEXT', Path: 'PATH'}
-BOUNDS = {'gt': '> ', 'ge': '≥ ', 'lt': '< ', 'le': '≤ '}
+BOUNDS = {  # of pydantic, and how they are written
+    'gt': '> ',
+    'ge': '≥ ',
+    'lt': '< ',
+    'le': '≤ ',
+    'min_length': 'at least ',
+    'max_length': 'at most ',
+}
+EMPTY_TEXT = '""'
 
 
 class Entry(NamedTuple):
-    """A value that can be set."""
+    """
+    A value that can be set, as a row of a table shows it.
+
+    Its kind is the name of its type on the pages, such as `float[3]`; it has choices if it is one
+    of a few texts.
+    """
 
     name: str
     kind: str
@@ -72,13 +86,13 @@ class Entry(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Return the declared SI unit."""
-        return str(_extra(self.field).get('unit', ''))
+        """Return the SI unit that it was declared with, empty if it has none."""
+        return str(_declared_extra(self.field).get('unit', ''))
 
     @property
     def live(self) -> bool:
-        """Whether it may change while a node runs."""
-        return bool(_extra(self.field).get('live'))
+        """Whether it may change while a node runs; all others while it is unconfigured."""
+        return bool(_declared_extra(self.field).get('live'))
 
     @property
     def default(self) -> str:
@@ -86,97 +100,98 @@ class Entry(NamedTuple):
         if self.field.is_required():
             return 'required'
         value = self.field.get_default(call_default_factory=True)
-        return f'`{json.dumps(_plain(value))}`'
+        return f'`{json.dumps(_plain_value(value))}`'
 
     @property
     def limits(self) -> str:
-        """Return the range or the choices."""
+        """Return the range or the choices, as Markdown; empty if its type alone limits it."""
         if self.choices:
-            return ', '.join(
-                f'`{choice}`' if choice else '`""`' for choice in self.choices
-            )
-        bounds = [
-            f'{sign}{getattr(bound, name):g}'
-            for bound in self.field.metadata
-            for name, sign in BOUNDS.items()
-            if getattr(bound, name, None) is not None
-        ]
-        lengths = [
-            f'{word} {count}'
-            for bound in self.field.metadata
-            for word, name in (('at least', 'min_length'), ('at most', 'max_length'))
-            if (count := getattr(bound, name, None))
-        ]
-        return ', '.join(bounds + lengths)
+            return ', '.join(f'`{choice or EMPTY_TEXT}`' for choice in self.choices)
+        limits = []
+        for name, words in BOUNDS.items():
+            for bound in self.field.metadata:
+                value = getattr(bound, name, None)
+                if value is not None:
+                    limits.append(f'{words}{value:g}')
+        return ', '.join(limits)
 
 
 class Group(NamedTuple):
-    """The values that one model declares itself, under the prefix they have."""
+    """The values that one model declares itself, under the dotted prefix of their names."""
 
     prefix: str
     model: type[Config]
     entries: Sequence[Entry]
 
 
-def groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
+def list_groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
     """
-    Yield a model and then those in it; NAME stands for any name, N for a place in a list.
+    Yield the values of a model and then those of the models in it, however deep.
 
-    What a model has from another, as nodes do, is that one's.
+    In a prefix NAME stands for any key of a mapping, N for a place in a list. What a model
+    inherits from another one, as those of nodes do, is listed with that one alone.
     """
-    entries, inner = [], []
-    inherited = {
-        key for base in model.__mro__[1:] for key in getattr(base, 'model_fields', ())
-    }
+    entries = []
+    inner = []
+    inherited: set[str] = set()
+    for base in model.__mro__[1:]:
+        inherited.update(getattr(base, 'model_fields', ()))
     for key, field in model.model_fields.items():
         if key in inherited:
             continue
-        kind, name = _bare(field.annotation), prefix + key
-        origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+        name = prefix + key
+        kind = _bare_type(field.annotation)
+        origin = typing.get_origin(kind)
+        arguments = [_bare_type(each) for each in typing.get_args(kind)]
         if _is_config(kind):
             inner.append((kind, f'{name}.'))
-        elif origin is dict and _is_config(_bare(arguments[1])):
-            inner.append((_bare(arguments[1]), f'{name}.NAME.'))
-        elif origin is tuple and _is_config(_bare(arguments[0])):
-            inner.append((_bare(arguments[0]), f'{name}.N.'))
+        elif origin is dict and _is_config(arguments[1]):
+            inner.append((arguments[1], f'{name}.NAME.'))
+        elif origin is tuple and _is_config(arguments[0]):
+            inner.append((arguments[0], f'{name}.N.'))
         else:
-            entries.append(Entry(name, *_kind(kind, field)))
+            entries.append(Entry(name, _name_type(kind), field, _list_choices(kind)))
     yield Group(prefix.rstrip('.'), model, entries)
-    for child, name in inner:
-        yield from groups(child, name)
+    for child, child_prefix in inner:
+        yield from list_groups(child, child_prefix)
 
 
-def _kind(kind: Any, field: FieldInfo) -> tuple[str, FieldInfo, Sequence[str]]:
-    """Return what a value is called, with its field and its choices, if there are only a few."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+def _name_type(kind: Any) -> str:
+    """Return what a type is called on the pages."""
+    origin = typing.get_origin(kind)
+    arguments = typing.get_args(kind)
     if origin is Literal:
-        return (
-            'string',
-            field,
-            [
-                choice
-                for x in arguments
-                for choice in (
-                    typing.get_args(x) if typing.get_origin(x) is Literal else (x,)
-                )
-            ],
-        )
+        return 'string'
     if origin is dict:
-        return f'{_kind(_bare(arguments[1]), field)[0]} by name', field, ()
+        return f'{_name_type(_bare_type(arguments[1]))} by name'
     if origin is tuple:
-        name, _, choices = _kind(_bare(arguments[0]), field)
         size = '' if arguments[-1] is Ellipsis else len(arguments)
-        return f'{name}[{size}]', field, choices
-    return TYPES[kind], field, ()
+        return f'{_name_type(_bare_type(arguments[0]))}[{size}]'
+    return TYPES[kind]
 
 
-def _bare(annotation: Any) -> Any:
+def _list_choices(kind: Any) -> list[str]:
+    """Return the values that a type, or each part of a list, chooses from; none if it is free."""
+    origin = typing.get_origin(kind)
+    arguments = typing.get_args(kind)
+    if origin is tuple:
+        return _list_choices(_bare_type(arguments[0]))
+    if origin is not Literal:
+        return []
+    choices = []
+    for argument in arguments:
+        choices += _list_choices(argument) or [argument]
+    return choices
+
+
+def _bare_type(annotation: Any) -> Any:
     """Return a type without what pydantic checks, and without None."""
-    while typing.get_origin(annotation) is typing.Annotated:
-        annotation = typing.get_args(annotation)[0]
-    if typing.get_origin(annotation) in (Union, UnionType):
-        rest = [x for x in typing.get_args(annotation) if x is not NoneType]
-        return _bare(rest[0])
+    origin = typing.get_origin(annotation)
+    if origin is typing.Annotated:
+        return _bare_type(typing.get_args(annotation)[0])
+    if origin in (Union, UnionType):
+        first = next(x for x in typing.get_args(annotation) if x is not NoneType)
+        return _bare_type(first)
     return annotation
 
 
@@ -184,20 +199,27 @@ def _is_config(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, Config)
 
 
-def _extra(field: FieldInfo) -> dict[str, Any]:
+def _declared_extra(field: FieldInfo) -> dict[str, Any]:
     return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
+    """Return a default as JSON has it."""
     if isinstance(value, Config):
         return value.model_dump(mode='json')
     if isinstance(value, dict):
-        return {key: _plain(x) for key, x in value.items()}
-    return [_plain(x) for x in value] if isinstance(value, (tuple, list)) else value
+        return {key: _plain_value(entry) for key, entry in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain_value(entry) for entry in value]
+    return value
 
 
-def parameters() -> str:
-    """Return the page of all parameters."""
+def make_parameters_page() -> str:
+    """
+    Return the page of all parameters: those of nodes, then those of files.
+
+    A table has the name, type, default, unit, range and description that the code declares.
+    """
     parts = [
         '# Parameters',
         MADE,
@@ -210,72 +232,82 @@ def parameters() -> str:
         'runs, all others while it is unconfigured.',
     ]
     for node, models in NODES.items():
-        sections = [group for model in models for group in groups(model)]
-        parts += [f'## {node}', *_group_tables(node, sections, live=True)]
+        parts.append(f'## {node}')
+        for model in models:
+            parts += _group_tables(node, model, live=True)
     for name, (where, model) in FILES.items():
         parts += [
             f'## {name} file',
             f'In {where}.',
-            *_group_tables(f'{name} file', list(groups(model))),
+            *_group_tables(f'{name} file', model),
         ]
-    return _page(parts)
+    return _join_page(parts)
 
 
 def _group_tables(
-    title: str, sections: Sequence[Group], *, live: bool = False
+    title: str, model: type[Config], *, live: bool = False
 ) -> Iterator[str]:
-    header = [
-        'parameter',
-        'type',
-        'default',
-        'unit',
-        'range',
-        *(['live'] if live else ()),
-        'what it is',
-    ]
-    for group in sections:
+    """Yield a table for each model with values of its own; `live` adds a column."""
+    header = ['parameter', 'type', 'default', 'unit', 'range', 'what it is']
+    if live:
+        header.insert(-1, 'live')
+    for group in list_groups(model):
         if not group.entries:
             continue
         if group.prefix:
             yield f'### {title}: {group.prefix}'
-        yield _text(group.model.__doc__)
-        yield table(
-            header,
-            [
-                [
-                    f'`{x.name}`',
-                    x.kind,
-                    x.default,
-                    _text(x.unit),
-                    x.limits,
-                    *([('yes' if x.live else '')] if live else ()),
-                    _text(x.field.description),
-                ]
-                for x in group.entries
-            ],
+        yield _escape_text(group.model.__doc__)
+        rows = []
+        for entry in group.entries:
+            row = [
+                f'`{entry.name}`',
+                entry.kind,
+                entry.default,
+                _escape_text(entry.unit),
+                entry.limits,
+                _escape_text(entry.field.description),
+            ]
+            if live:
+                row.insert(-1, 'yes' if entry.live else '')
+            rows.append(row)
+        yield make_table(header, rows)
+
+
+def make_topics_page() -> str:
+    """
+    Return the page of topics, services and qualities of service.
+
+    Topics and services come from their declarations, profiles from the constants of `nodes/qos`
+    and the texts below these.
+    """
+    # Equal profiles have different reasons: each is known by its identity.
+    profile_names = {}
+    profiles = []
+    for name, text in _constant_docs(qos).items():
+        profile = getattr(qos, name)
+        profile_names[id(profile)] = name
+        profiles.append([f'`{name}`', *_policies(profile), _escape_text(text)])
+    contents = []
+    ends = []
+    for topic in topics.TOPICS:
+        contents.append(
+            [f'`{topic.name}`', topic.type_name, _escape_text(topic.content)]
         )
-
-
-def graph() -> str:
-    """Return the page of topics, services and qualities of service."""
-    names = _profile_names()
-    contents = [[f'`{x.name}`', x.type_name, _text(x.content)] for x in topics.TOPICS]
-    ends = [
-        [
-            f'`{x.name}`',
-            x.publisher,
-            ', '.join(name for name in x.subscribers if name != topics.RECORDER),
-            x.rate,
-            f'[{names[id(x.profile)]}](#quality-of-service)',
-        ]
-        for x in topics.TOPICS
-    ]
-    described = _attribute_docs(qos)
-    profiles = [
-        [f'`{name}`', *_policies(getattr(qos, name)), _text(text)]
-        for name, text in described.items()
-    ]
-    return _page(
+        ends.append(
+            [
+                f'`{topic.name}`',
+                topic.publisher,
+                ', '.join(topic.subscribers),
+                topic.rate,
+                f'[{profile_names[id(topic.profile)]}](#quality-of-service)',
+            ]
+        )
+    services = []
+    for name, (kind, content) in SERVICES.items():
+        package = kind.__module__.split('.')[0]
+        type_name = f'{package}/srv/{kind.__name__}'
+        services.append([f'`~/{name}`', type_name, _escape_text(content)])
+    return _join_page(
         [
             '# Topics and services',
             MADE,
@@ -285,10 +317,12 @@ def graph() -> str:
             'each end does when messages are late, missing or wrong is in '
             '[the interface](../interface.md#samples).',
             '## Topics',
-            table(['topic', 'type', 'content'], contents),
+            make_table(['topic', 'type', 'content'], contents),
             '## Ends',
             f'`{topics.RECORDER}` reads all of them.',
-            table(['topic', 'from', 'always read by', 'rate', 'published as'], ends),
+            make_table(
+                ['topic', 'from', 'always read by', 'rate', 'published as'], ends
+            ),
             'The controller also reads one of the two wrenches (`wrench_input`; none with '
             '`momentum`) and the commands, which it refuses while it follows a scenario; with '
             '`effort_output_topic` it publishes bare efforts, too '
@@ -299,220 +333,195 @@ def graph() -> str:
             'of a refusal. Controller and noise estimator also have those of every '
             'life-cycle node (`~/change_state`, `~/get_state`), and every node but '
             'the recorder those of parameters.',
-            table(
-                ['service', 'type', 'what it does'],
-                [
-                    [
-                        f'`~/{name}`',
-                        f'{kind.__module__.split(".")[0]}/srv/{kind.__name__}',
-                        _text(content),
-                    ]
-                    for name, (kind, content) in SERVICES.items()
-                ],
-            ),
+            make_table(['service', 'type', 'what it does'], services),
             '## Quality of service',
             'History is `KEEP_LAST` throughout. An end that cannot be served is logged with its '
             'node, topic and policy.',
-            table(['profile', 'reliability', 'depth', 'durability', 'for'], profiles),
+            make_table(
+                ['profile', 'reliability', 'depth', 'durability', 'for'], profiles
+            ),
         ]
     )
 
 
-def _policies(profile: QoSProfile) -> tuple[str, str, str]:
-    return (
-        'reliable'
-        if profile.reliability == ReliabilityPolicy.RELIABLE
-        else 'best effort',
-        str(profile.depth),
-        'transient local'
-        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        else 'volatile',
-    )
+def _policies(profile: QoSProfile) -> list[str]:
+    """Return reliability, depth and durability in words."""
+    reliability = 'best effort'
+    if profile.reliability == ReliabilityPolicy.RELIABLE:
+        reliability = 'reliable'
+    durability = 'volatile'
+    if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        durability = 'transient local'
+    return [reliability, str(profile.depth), durability]
 
 
-def _profile_names() -> dict[int, str]:
-    """Return what each profile is called, by its identity: equal ones have other reasons."""
-    return {id(getattr(qos, name)): name for name in _attribute_docs(qos)}
-
-
-def _attribute_docs(module: Any) -> dict[str, str]:
+def _constant_docs(module: Any) -> dict[str, str]:
     """Return the strings that stand below the constants of a module, by their names."""
-    body = ast.parse(inspect.getsource(module)).body
-    return {
-        first.targets[0].id: inspect.cleandoc(second.value.value)
-        for first, second in zip(body, body[1:])
-        if isinstance(first, ast.Assign)
-        and isinstance(first.targets[0], ast.Name)
-        and isinstance(second, ast.Expr)
-        and isinstance(second.value, ast.Constant)
-    }
+    docs = {}
+    for first, second in pairwise(ast.parse(inspect.getsource(module)).body):
+        if isinstance(first, ast.Assign) and isinstance(second, ast.Expr):
+            target = first.targets[0]
+            text = second.value
+            if isinstance(target, ast.Name) and isinstance(text, ast.Constant):
+                docs[target.id] = inspect.cleandoc(str(text.value))
+    return docs
 
 
-def commands() -> str:
-    """Return the page of all commands and their options."""
-    known = dict(_commands(app))
+def make_commands_page() -> str:
+    """
+    Return the page of all commands and their options, and of the files that these choose from.
+
+    Commands stand in the order of the help; a hidden one is left out.
+    """
+    commands = dict(_list_commands(app))
+    overview = []
+    for name, command in commands.items():
+        link = f'[`{name}`](#multicontact-{name.replace(" ", "-")})'
+        first_paragraph = command.help.split('\n\n')[0]
+        overview.append([link, _escape_text(first_paragraph)])
     parts = [
         '# Commands',
         MADE,
         'What `multicontact COMMAND --help` says, of all commands at once. Exit codes: 0 stable, '
         'or not judged, or done; 1 not stable, held by the supervisor, a node died, or what was '
         'asked for failed; 2 bad input; 128 + n ended by signal n.',
-        table(
-            ['command', 'what it does'],
-            [
-                [
-                    f'[`{name}`](#multicontact-{name.replace(" ", "-")})',
-                    _text(_first(command.help)),
-                ]
-                for name, command in known.items()
-            ],
-        ),
+        make_table(['command', 'what it does'], overview),
     ]
-    for name, command in known.items():
-        kinds = typing.get_type_hints(command.callback)
-        arguments = [x for x in command.params if x.param_type_name == 'argument']
-        options = [x for x in command.params if x.param_type_name == 'option']
-        usage = ' '.join(
-            [
-                'multicontact',
-                name,
-                *(['[OPTIONS]'] if options else ()),
-                *(_metavar(x) for x in arguments),
-            ]
-        )
-        parts += [
-            f'## multicontact {name}',
-            f'```\n{usage}\n```',
-            *map(_paragraph, inspect.cleandoc(command.help).split('\n\n')),
-        ]
-        if arguments:
-            parts.append(
-                table(
-                    ['argument', 'what it is'],
-                    [[f'`{_metavar(x)}`', _text(x.help)] for x in arguments],
-                )
-            )
-        if options:
-            parts.append(
-                table(
-                    ['option', 'value', 'default', 'what it is'],
-                    [
-                        [
-                            _names(x),
-                            _value(x, kinds[x.name]),
-                            _default(x),
-                            _text(x.help),
-                        ]
-                        for x in options
-                    ],
-                )
-            )
+    for name, command in commands.items():
+        parts += _command_section(name, command)
     for folder in dict.fromkeys(FOLDERS.values()):
+        files = [
+            [f'`{name}`', _escape_text(text)]
+            for name, text in describe_files(folder).items()
+        ]
         parts += [
             f'## {folder.capitalize()} by name',
-            table(
-                ['name', 'what it is'],
-                [
-                    [f'`{name}`', _text(text)]
-                    for name, text in described(folder).items()
-                ],
-            ),
+            make_table(['name', 'what it is'], files),
         ]
-    return _page(parts)
+    return _join_page(parts)
 
 
-def _commands(application: typer.Typer) -> Iterator[tuple[str, Any]]:
+def _command_section(name: str, command: Any) -> Iterator[str]:
+    """Yield heading, usage, help, arguments and options of a command."""
+    kinds = typing.get_type_hints(command.callback)
+    usage = ['multicontact', name]
+    arguments = []
+    options = []
+    for parameter in command.params:
+        text = _escape_text(parameter.help)
+        if parameter.param_type_name == 'argument':
+            arguments.append([f'`{_metavar(parameter)}`', text])
+            usage.append(_metavar(parameter))
+        else:
+            names = [*parameter.opts, *parameter.secondary_opts]
+            options.append(
+                [
+                    ', '.join(f'`{each}`' for each in names),
+                    _option_value(parameter, kinds[parameter.name]),
+                    _option_default(parameter),
+                    text,
+                ]
+            )
+    if options:
+        usage.insert(2, '[OPTIONS]')
+    yield f'## multicontact {name}'
+    yield f'```\n{" ".join(usage)}\n```'
+    for paragraph in inspect.cleandoc(command.help).split('\n\n'):
+        yield _paragraph(paragraph)
+    if arguments:
+        yield make_table(['argument', 'what it is'], arguments)
+    if options:
+        yield make_table(['option', 'value', 'default', 'what it is'], options)
+
+
+def _list_commands(application: typer.Typer) -> Iterator[tuple[str, Any]]:
     """Yield names and commands, those of groups behind the others; none that are hidden."""
     for name, command in typer.main.get_command(application).commands.items():  # type: ignore
-        inner = getattr(command, 'commands', None)
-        if not command.hidden:
-            yield from (
-                ((f'{name} {key}', each) for key, each in inner.items())
-                if inner
-                else [(name, command)]
-            )
+        if command.hidden:
+            continue
+        if isinstance(command, typer.core.TyperGroup):
+            for inner_name, inner in command.commands.items():
+                yield f'{name} {inner_name}', inner
+        else:
+            yield name, command
 
 
 def _paragraph(text: str) -> str:
     """Return a paragraph of a help text; what follows a line of backspace is an example."""
     if not text.startswith('\b'):
-        return _text(text)
+        return _escape_text(text)
     return '```yaml\n' + textwrap.dedent(text.removeprefix('\b\n')) + '\n```'
 
 
 def _metavar(argument: Any) -> str:
-    name = (argument.metavar or argument.name.upper()) + '...' * (argument.nargs == -1)
+    name = argument.metavar or argument.name.upper()
+    if argument.nargs == -1:
+        name += '...'
     return name if argument.required else f'[{name}]'
 
 
-def _names(option: Any) -> str:
-    return ', '.join(f'`{name}`' for name in (*option.opts, *option.secondary_opts))
-
-
-def _value(option: Any, kind: Any) -> str:
+def _option_value(option: Any, kind: Any) -> str:
     """Return what an option takes; nothing if it is a flag."""
     if option.metavar:
-        return _text(option.metavar)
-    kind = _bare(kind)
-    kind = _bare(typing.get_args(kind)[0]) if typing.get_origin(kind) is list else kind
+        return _escape_text(option.metavar)
+    kind = _bare_type(kind)
+    if typing.get_origin(kind) is list:
+        kind = _bare_type(typing.get_args(kind)[0])
     if typing.get_origin(kind) is Literal:
         return ', '.join(f'`{choice}`' for choice in typing.get_args(kind))
     return VALUES[kind]
 
 
-def _default(option: Any) -> str:
+def _option_default(option: Any) -> str:
     if isinstance(option.default, bool) or option.default in (None, '', (), []):
         return ''
-    return f'`{getattr(option.default, "value", option.default)}`'
+    return f'`{option.default}`'
 
 
-def _first(text: str) -> str:
-    return text.split('\n\n')[0]
+def make_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """
+    Return a table of Markdown; what stands in its cells is Markdown, too.
+
+    Line breaks in a cell become blanks, because a row is one line.
+    """
+    lines = []
+    for row in (header, ['---'] * len(header), *rows):
+        cells = [' '.join(cell.split()) for cell in row]
+        lines.append(f'| {" | ".join(cells)} |')
+    return '\n'.join(lines)
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of Markdown; what stands in its cells is Markdown, too."""
-    lines = [header, ['---'] * len(header), *rows]
-    return '\n'.join(
-        f'| {" | ".join(" ".join(cell.split()) for cell in line)} |' for line in lines
-    )
-
-
-def _text(text: str | None) -> str:
+def _escape_text(text: str | None) -> str:
     """Return plain words of the code as Markdown: what is in backquotes stays as it is."""
-    parts = ' '.join((text or '').split()).replace('``', '`').split('`')
+    if text is None:
+        return ''
+    parts = ' '.join(text.split()).replace('``', '`').split('`')
     for i in range(0, len(parts), 2):
         parts[i] = re.sub(r'([*|<]|(?<!\w)_|_(?!\w))', r'\\\1', parts[i])
     return '`'.join(parts)
 
 
-def _page(parts: Iterable[str]) -> str:
-    return '\n\n'.join(map(_wrapped, parts)) + '\n'
-
-
-def _wrapped(part: str) -> str:
-    """Return a paragraph in lines; tables, headings and code as they are."""
-    if part.startswith(('|', '#', '<!--', '```')) or '\n' in part:
-        return part
-    lines, line = [], ''
-    for word in part.split():
-        if line and len(line) + 1 + len(word) > WIDTH:
-            lines.append(line)
-            line = word
-        else:
-            line = f'{line} {word}'.strip()
-    return '\n'.join([*lines, line])
+def _join_page(parts: Iterable[str]) -> str:
+    """Return a page of parts, with its paragraphs in lines; tables and code stay as they are."""
+    wrapped = []
+    for part in parts:
+        if not part.startswith(('|', '#', '<!--', '```')) and '\n' not in part:
+            part = textwrap.fill(
+                part, WIDTH, break_long_words=False, break_on_hyphens=False
+            )
+        wrapped.append(part)
+    return '\n\n'.join(wrapped) + '\n'
 
 
 PAGES: dict[str, Callable[[], str]] = {
-    'parameters.md': parameters,
-    'topics.md': graph,
-    'commands.md': commands,
+    'parameters.md': make_parameters_page,
+    'topics.md': make_topics_page,
+    'commands.md': make_commands_page,
 }
 
 
 def main() -> None:
-    """Write the pages."""
+    """Write all pages anew into docs/reference, whose folder is made if it is not there."""
     FOLDER.mkdir(exist_ok=True)
     for name, page in PAGES.items():
         (FOLDER / name).write_text(page(), encoding='utf-8')

@@ -20,23 +20,24 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 import yaml
 
-PERIOD, STEPS = 0.002, 4  # s, of a sample; steps of the engine in it
-RESEND = 0.2  # s, until a sample that has no answer is published again
-GAP, DAMPING = 0.007, 30.0  # m, from the tip at home to the table; N s/m, of the table
-NOISE = np.repeat(
-    [0.05, 0.005], 3
-)  # N, N m; a reading that repeats itself counts as frozen
+PERIOD = 0.002  # s, of a sample
+STEPS = 4  # of the engine in a period
+RESEND_PERIOD = 0.2  # s, until a sample that has no answer is published again
+GAP = 0.007  # m, from the tip at home to the table
+DAMPING = 30.0  # N s/m, of the table
+# Standard deviation of the sensor [N, N m]; a reading that repeats itself counts as frozen.
+NOISE = np.repeat([0.05, 0.005], 3)
 
 home = yaml.safe_load(Path(sys.argv[1]).read_text())['home']
 parameters = yaml.safe_load(Path(sys.argv[2]).read_text())['/**']['ros__parameters']
-robot, contact = parameters['robot'], parameters['contacts']['table']
-point, normal = (
-    np.array(contact['point_operational']),
-    np.array(contact['normal_world']),
-)
+robot = parameters['robot']
+contact = parameters['contacts']['table']
+point = np.array(contact['point_operational'])
+normal = np.array(contact['normal_world'])
 
 spec = mujoco.MjSpec.from_file(str(Path(sys.argv[2]).parent / robot['urdf']))
-spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
+spec.compiler.fusestatic = False
+spec.compiler.balanceinertia = True
 spec.option.timestep = PERIOD / STEPS
 spec.body(robot['sensor_frame']).add_site(name='sensor')
 for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
@@ -44,8 +45,10 @@ for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
 model = spec.compile()
 data = mujoco.MjData(model)
 joints = [model.joint(name).id for name in robot['joint_names']]
-model.dof_armature[joints], data.qpos[joints] = robot['armature'], home
-frame, tool = data.body(robot['operational_frame']), data.body(robot['sensor_frame'])
+model.dof_armature[joints] = robot['armature']
+data.qpos[joints] = home
+frame = data.body(robot['operational_frame'])
+tool = data.body(robot['sensor_frame'])
 
 
 mujoco.mj_forward(model, data)
@@ -53,31 +56,37 @@ data.qfrc_applied = data.qfrc_bias  # the arm is held
 mujoco.mj_forward(model, data)
 
 
-def tip():
-    """Return where the tip is in the world, shape (3,) [m]."""
+def find_tip():
+    """
+    Return where the tip is in the world, shape (3,) [m].
+
+    MuJoCo moves the operational frame; the tip is fixed in it.
+    """
     return frame.xpos + frame.xmat.reshape(3, 3) @ point
 
 
-table = normal @ tip() + GAP
+table = normal @ find_tip() + GAP
 
 
 def advance(torque):
-    """Apply joint torques for a period [N m]; the table pushes what is beyond the sensor."""
+    """
+    Apply joint torques [N m] for a period, in several steps of the engine.
+
+    The table is a spring and a damper along its normal, and only pushes. Its force acts on the
+    body beyond the sensor, so that the sensor reads it.
+    """
     data.qfrc_applied[joints] = torque
     for _ in range(STEPS):
-        before = tip()
+        before = find_tip()
         mujoco.mj_kinematics(model, data)
-        depth, speed = (
-            normal @ tip() - table,
-            normal @ (tip() - before) * STEPS / PERIOD,
-        )
-        press = (
-            max(0.0, contact['stiffness'] * depth + DAMPING * speed)
-            if depth > 0.0
-            else 0.0
-        )
-        lever, force = tip() - tool.xipos, -press * normal
-        data.xfrc_applied[tool.id] = [*force, *np.cross(lever, force)]
+        tip = find_tip()
+        depth = normal @ tip - table
+        speed = normal @ (tip - before) * STEPS / PERIOD
+        pressure = 0.0
+        if depth > 0.0:
+            pressure = max(0.0, contact['stiffness'] * depth + DAMPING * speed)
+        force = -pressure * normal
+        data.xfrc_applied[tool.id] = [*force, *np.cross(tip - tool.xipos, force)]
         mujoco.mj_step(model, data)
 
 
@@ -89,26 +98,25 @@ class Simulator(Node):
         self.joint_states = self.create_publisher(JointState, 'joint_states', 10)
         self.wrench = self.create_publisher(WrenchStamped, 'ft_sensor/wrench', 10)
         self.create_subscription(JointState, 'joint_effort_command', self.obey, 10)
-        self.timer = self.create_timer(RESEND, self.publish)
-        self.tick, self.due = 1, time.monotonic()
+        self.timer = self.create_timer(RESEND_PERIOD, self.publish)
+        self.tick = 1
+        self.due = time.monotonic()
         self.publish()
 
     def publish(self):
         """Publish the sensors' readings, both with the same stamp."""
-        sample, reading = JointState(name=robot['joint_names']), WrenchStamped()
         self.stamp = Time(nanoseconds=round(self.tick * PERIOD * 1e9)).to_msg()
-        sample.header.stamp = reading.header.stamp = self.stamp
+        sample = JointState(name=robot['joint_names'])
+        sample.header.stamp = self.stamp
+        sample.position = data.qpos[joints].tolist()
+        sample.velocity = data.qvel[joints].tolist()
+        reading = WrenchStamped()
+        reading.header.stamp = self.stamp
         reading.header.frame_id = robot['sensor_frame']
-        sample.position, sample.velocity = (
-            data.qpos[joints].tolist(),
-            data.qvel[joints].tolist(),
-        )
-        wrench = data.sensordata + NOISE * np.random.normal(
-            size=6
-        )  # of the arm on the tool
-        reading.wrench.force, reading.wrench.torque = (
-            Vector3(x=x, y=y, z=z) for x, y, z in wrench.reshape(2, 3).tolist()
-        )
+        wrench = data.sensordata + NOISE * np.random.normal(size=6)
+        force, torque = wrench.reshape(2, 3).tolist()  # of the arm on the tool
+        reading.wrench.force = Vector3(x=force[0], y=force[1], z=force[2])
+        reading.wrench.torque = Vector3(x=torque[0], y=torque[1], z=torque[2])
         self.wrench.publish(reading)
         self.joint_states.publish(sample)
 
@@ -117,10 +125,8 @@ class Simulator(Node):
         if command.header.stamp == self.stamp:
             effort = dict(zip(command.name, command.effort))
             advance([effort[name] for name in robot['joint_names']])
-            self.tick, self.due = (
-                self.tick + 1,
-                max(self.due + PERIOD, time.monotonic()),
-            )
+            self.tick += 1
+            self.due = max(self.due + PERIOD, time.monotonic())
             time.sleep(max(0.0, self.due - time.monotonic()))
             self.publish()
             self.timer.reset()

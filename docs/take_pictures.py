@@ -18,7 +18,8 @@ from playwright.sync_api import expect, Page, sync_playwright
 PICTURE = Path(__file__).resolve().parent / 'view.png'
 SIZE = {'width': 1500, 'height': 880}  # px
 PATIENCE = 120e3  # ms
-LOADED_FOR, SEEN_FOR = 10e3, 4e3  # ms, before the step, and of the step in the curves
+LOADING_TIME = 10e3  # ms, before the step
+SHOWN_TIME = 4e3  # ms, of the step in the curves
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 # Without graphics the processor draws; root is root of a container, without a sandbox.
 SWITCHES = [
@@ -29,27 +30,31 @@ SWITCHES = [
 ]
 
 
-def main() -> None:
-    """Start the page, press, take the picture, end all."""
-    picture = Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE
-    chromium = next(
-        filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))), None
+def find_chromium() -> str:
+    """Return the path of a Chromium, that of ``CHROMIUM`` first; without one, end."""
+    for name in (os.environ.get('CHROMIUM', ''), *NAMES):
+        path = shutil.which(name)
+        if path is not None:
+            return path
+    sys.exit(
+        'browser: expected Chromium (apt-get install chromium, or its path in CHROMIUM), '
+        'got none'
     )
-    if chromium is None:
-        sys.exit(
-            'browser: expected Chromium (apt-get install chromium, or its path in CHROMIUM), '
-            'got none'
-        )
+
+
+def main() -> None:
+    """Start the page and its graph, press on both contacts, take the picture, end all."""
+    picture = PICTURE
+    if len(sys.argv) > 1:
+        picture = Path(sys.argv[1])
+    chromium = find_chromium()
     view = subprocess.Popen(
         [sys.executable, '-m', 'multicontact_control.cli', 'view'],
         stdout=subprocess.PIPE,
         text=True,
     )
     try:
-        lines = iter(view.stdout or ())
-        url = next((line.split()[-1] for line in lines if 'http' in line), None)
-        if url is None:
-            sys.exit('multicontact view has ended')
+        url = read_address(view)
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=chromium, args=SWITCHES)
             page = browser.new_page(viewport=SIZE)
@@ -58,9 +63,9 @@ def main() -> None:
             expect(page.locator('td', has_text='free')).to_have_count(
                 2, timeout=PATIENCE
             )
-            page.wait_for_timeout(LOADED_FOR)
-            press(page)
-            page.wait_for_timeout(SEEN_FOR)
+            page.wait_for_timeout(LOADING_TIME)
+            press_contacts(page)
+            page.wait_for_timeout(SHOWN_TIME)
             page.screenshot(path=picture)
             browser.close()
     finally:
@@ -69,8 +74,25 @@ def main() -> None:
     print(f'picture in {picture}')
 
 
-def press(page: Page) -> None:
-    """Press with 10 N on both contacts, and wait until they hold; close the notifications."""
+def read_address(view: subprocess.Popen[str]) -> str:
+    """
+    Return the address of the page, which `multicontact view` prints when the graph is up.
+
+    End this program if the command ends without it.
+    """
+    if view.stdout is not None:
+        for line in view.stdout:
+            if 'http' in line:
+                return line.split()[-1]
+    sys.exit('multicontact view has ended')
+
+
+def press_contacts(page: Page) -> None:
+    """
+    Press with 10 N on both contacts, and wait until they hold.
+
+    The notifications that the page shows meanwhile are closed, so that none is in the picture.
+    """
     button = page.get_by_role('button', name='Press with 10 N')
     button.focus()
     button.press('Enter')

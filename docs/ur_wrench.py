@@ -14,17 +14,26 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import qos_profile_sensor_data
 
 
-def turn(message):
-    """Publish the opposite of a wrench, with the stamp that it came with."""
+def publish_opposite(message):
+    """
+    Publish the opposite of a wrench, with the stamp that it came with.
+
+    The frame of its header becomes the one that the controller is configured for, which is the
+    second argument of this script: drivers name the same frame differently.
+    """
     message.header.frame_id = sys.argv[2]
     for vector in (message.wrench.force, message.wrench.torque):
-        vector.x, vector.y, vector.z = -vector.x, -vector.y, -vector.z
+        vector.x = -vector.x
+        vector.y = -vector.y
+        vector.z = -vector.z
     publisher.publish(message)
 
 
 rclpy.init()
 node = rclpy.create_node('ur_wrench')
 publisher = node.create_publisher(WrenchStamped, 'ft_sensor/wrench', 10)
-node.create_subscription(WrenchStamped, sys.argv[1], turn, qos_profile_sensor_data)
+node.create_subscription(
+    WrenchStamped, sys.argv[1], publish_opposite, qos_profile_sensor_data
+)
 with suppress(KeyboardInterrupt, ExternalShutdownException):
     rclpy.spin(node)

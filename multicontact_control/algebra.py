@@ -77,14 +77,14 @@ def solve_lower_transposed(L: Matrix, x: Vector) -> None:
 
 @compiled
 def solve_cholesky(L: Matrix, x: Vector) -> None:
-    """Replace x, shape (n,), by (L L^T)^-1 x."""
+    """Replace x, shape (n,), by (L L^T)^-1 x, with L of `cholesky`."""
     solve_lower(L, x)
     solve_lower_transposed(L, x)
 
 
 @compiled
 def dot(x: Vector | Triple, y: Vector | Triple) -> float:
-    """Return x^T y, both of shape (n,)."""
+    """Return the scalar product x^T y of two vectors, shape (n,), summed in their order."""
     total = 0.0
     for i in range(len(x)):
         total += x[i] * y[i]
@@ -93,13 +93,13 @@ def dot(x: Vector | Triple, y: Vector | Triple) -> float:
 
 @compiled
 def vector_length(x: Vector | Triple) -> float:
-    """Return |x|."""
+    """Return the Euclidean length |x| of a vector, shape (n,)."""
     return np.sqrt(dot(x, x))
 
 
 @compiled
 def add_vector(x: Vector, y: Vector | Triple) -> None:
-    """Add y to x, both of shape (n,)."""
+    """Add a vector y to x in place, both of shape (n,)."""
     for i in range(len(x)):
         x[i] += y[i]
 
@@ -113,14 +113,14 @@ def add_scaled_vector(x: Vector, factor: float, y: Vector | Triple) -> None:
 
 @compiled
 def multiply_vector(A: Matrix, x: Vector, y: Vector) -> None:
-    """Fill y, shape (n,), with A x."""
+    """Fill y, shape (n,), with A x, A of shape (n, m) and x of shape (m,)."""
     for i in range(A.shape[0]):
         y[i] = dot(A[i], x)
 
 
 @compiled
 def gram_matrix(X: Matrix, G: Matrix) -> None:
-    """Fill G, shape (m, m), with X^T X, X of shape (n, m)."""
+    """Fill G, shape (m, m), with X^T X, the scalar products of the columns of X, shape (n, m)."""
     for i in range(X.shape[1]):
         multiply_vector(X.T, X[:, i], G[i])
 
@@ -161,11 +161,12 @@ def diagonalise(A: Matrix, vectors: Matrix) -> None:
     LAPACK's, these allocate nothing.
     """
     n = A.shape[0]
+    vectors[:n, :n] = 0.0
     for i in range(n):
-        for j in range(n):
-            vectors[i, j] = 1.0 if i == j else 0.0
+        vectors[i, i] = 1.0
     for _ in range(MOST_SWEEPS):
-        beside, total = 0.0, 0.0
+        beside = 0.0
+        total = 0.0
         for i in range(n):
             total += A[i, i] * A[i, i]
             for j in range(i + 1, n):
@@ -202,7 +203,7 @@ def rotate_pair(A: Matrix, vectors: Matrix, i: int, j: int) -> None:
 
 @compiled
 def vector_between(start: Vector | Triple, end: Vector | Triple) -> Triple:
-    """Return the way from one point to another."""
+    """Return the vector from one point to another, end - start, in their frame [m]."""
     return end[0] - start[0], end[1] - start[1], end[2] - start[2]
 
 
@@ -210,19 +211,19 @@ def vector_between(start: Vector | Triple, end: Vector | Triple) -> Triple:
 def linear_combination(
     a: float, x: Vector | Triple, b: float, y: Vector | Triple
 ) -> Triple:
-    """Return a x + b y."""
+    """Return a x + b y of two vectors of three elements and two numbers."""
     return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
 
 
 @compiled
 def divide_vector(vector: Vector | Triple, divisor: float) -> Triple:
-    """Return a vector over a number."""
+    """Return a vector of three elements over a number, which the caller knows not to be 0."""
     return vector[0] / divisor, vector[1] / divisor, vector[2] / divisor
 
 
 @compiled
 def cross(a: Vector | Triple, b: Vector | Triple) -> Triple:
-    """Return a x b."""
+    """Return the vector product a x b, which is perpendicular to both."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -232,26 +233,34 @@ def cross(a: Vector | Triple, b: Vector | Triple) -> Triple:
 
 @compiled
 def component_across(vector: Vector | Triple, axis: Vector | Triple) -> Triple:
-    """Return what a vector has across a unit axis."""
+    """Return the component of a vector perpendicular to a unit axis, v - (v^T a) a."""
     return linear_combination(1.0, vector, -dot(vector, axis), axis)
 
 
 @compiled
 def rotate_vector(rotation: Matrix, vector: Vector | Triple) -> Triple:
-    """Return R v, R of shape (3, 3)."""
+    """Return R v of a rotation R, shape (3, 3), and a vector, shape (3,)."""
     return dot(rotation[0], vector), dot(rotation[1], vector), dot(rotation[2], vector)
 
 
 @compiled
 def velocity_at(twist: Vector, lever: Vector | Triple) -> Triple:
-    """Return v + omega x l of a twist [v, omega] at its end of a lever."""
+    """
+    Return v + omega x l, the velocity at the end of a lever of a body with a twist [v, omega].
+
+    Twist and lever have the same axes; shapes (6,) and (3,) [m/s, rad/s], [m].
+    """
     x, y, z = cross(twist[3:], lever)
     return x + twist[0], y + twist[1], z + twist[2]
 
 
 @compiled
 def turn_rotation_by_vector(vector: Vector, rotation: Matrix) -> None:
-    """Turn a rotation, shape (3, 3), by a rotation vector [rad] (Rodrigues)."""
+    """
+    Turn a rotation in place, shape (3, 3), by a rotation vector, shape (3,) [rad] (Rodrigues).
+
+    R is replaced by exp([vector]) R: the vector has the axes of the rows of R.
+    """
     angle = vector_length(vector)
     if angle < 1e-12:
         return
@@ -269,7 +278,11 @@ def turn_rotation_by_vector(vector: Vector, rotation: Matrix) -> None:
 
 @compiled
 def quintic_blend(elapsed: float, duration: float) -> Triple:
-    """Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives."""
+    """
+    Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives in time.
+
+    b goes from 0 to 1 with speed and acceleration 0 at both ends, and stays there.
+    """
     if elapsed >= duration:
         return 1.0, 0.0, 0.0
     x = max(0.0, elapsed / duration)

@@ -10,7 +10,7 @@ from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import project_on_contacts
-from multicontact_control.control.tasks import shortest_duration
+from multicontact_control.control.tasks import shortest_motion_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
@@ -44,13 +44,13 @@ STATE_TOPICS = (
     topics.POSE,
     topics.POSE_DESIRED,
 )
-LONGEST_INTERRUPTION = (
-    5.0  # s of the samples: control resumes by itself within 2 s, or never
-)
-LED_THERE = 2e-5  # m or rad of the reference, which the controller leads on after a late program
-LONGEST_ADVANCE = (
-    0.1  # s between two set points of a motion; a late program makes no step
-)
+# s of the samples, after which a motion ends: control resumes by itself within 2 s, or never.
+LONGEST_INTERRUPTION = 5.0
+# m or rad from the goal, within which the reference is there: the controller leads it on after a
+# late program.
+REFERENCE_TOLERANCE = 2e-5
+# s between two set points of a motion: a late program makes no step.
+LONGEST_ADVANCE = 0.1
 
 
 class NotReachedError(RunError):
@@ -59,7 +59,11 @@ class NotReachedError(RunError):
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """One sample: forces by contact name, and poses in world axes."""
+    """
+    The arm at one sample: forces by contact name, and poses in world axes.
+
+    A pose is that of the operational frame: its position, and its axes as a quaternion.
+    """
 
     time: float  # its stamp [s]
     forces: dict[str, float]  # N
@@ -73,12 +77,12 @@ class ArmState:
 
     @property
     def pose(self) -> Pose:
-        """Return where the operational frame is."""
+        """Return where the operational frame is, measured by the joints."""
         return Pose.from_quaternion(self.position_world, self.quaternion_xyzw)
 
     @property
     def pose_desired(self) -> Pose:
-        """Return where it should be."""
+        """Return where the operational frame should be, by what is commanded and allowed."""
         return Pose.from_quaternion(self.position_desired, self.quaternion_desired)
 
 
@@ -121,7 +125,7 @@ class MultiContactClient(ControllerLink):
             self.change_state(topics.CONTROLLER, DEACTIVATE)
 
     def status(self) -> ControllerStatus | None:
-        """Return what the controller has said of itself last, None if nothing so far."""
+        """Return the newest status of the controller, None if it has sent none so far."""
         self.take_statuses()
         return self.last_status
 
@@ -206,12 +210,10 @@ class MultiContactClient(ControllerLink):
                 f'{topics.MOTION_COMMAND.name}: {error}'
             ) from None
         start = self.read()
-        last = (
-            start.quaternion_desired
-            if quaternion_xyzw is None
-            else messages.quaternion_array(quaternion_xyzw, 'quaternion_xyzw')
-        )
-        goal_pose = Pose.from_quaternion(goal, last)
+        quaternion = start.quaternion_desired
+        if quaternion_xyzw is not None:
+            quaternion = messages.quaternion_array(quaternion_xyzw, 'quaternion_xyzw')
+        goal_pose = Pose.from_quaternion(goal, quaternion)
         _require_time(duration, start.pose_desired.displacement_to(goal_pose), limits)
         # All that takes time comes first: the motion runs from the sample that it starts at.
         status = self.command_until_answered(
@@ -234,15 +236,15 @@ class MultiContactClient(ControllerLink):
         self, start: ArmState, way: Vector, goal: Pose, duration: float
     ) -> None:
         """Command the points of a way from a state, shape (6,) [m, rad], as its samples come."""
-        identifier, turn = (
-            new_identifier(),
-            Rotation.from_quat(start.quaternion_desired),
-        )
-        elapsed = interrupted = 0.0
+        identifier = new_identifier()
+        start_rotation = Rotation.from_quat(start.quaternion_desired)
+        elapsed = 0.0
+        interrupted = 0.0
         state = start
         while elapsed < duration:
-            before, state = state, self.read()
-            advance = min(state.time - before.time, LONGEST_ADVANCE)
+            last_time = state.time
+            state = self.read()
+            advance = min(state.time - last_time, LONGEST_ADVANCE)
             self.find_acceptance(
                 identifier
             )  # what it refuses of the way ends the motion
@@ -254,9 +256,10 @@ class MultiContactClient(ControllerLink):
             interrupted = 0.0
             elapsed += advance
             s, ds, dds = quintic_blend(elapsed, duration)
+            rotation = Rotation.from_rotvec(s * way[3:]) * start_rotation
             point = messages.motion_message(
                 start.position_desired + s * way[:3],
-                (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(),
+                rotation.as_quat(),
                 ds * way,
                 dds * way,
             )
@@ -270,21 +273,22 @@ class MultiContactClient(ControllerLink):
         rotation_tolerance: float,
     ) -> None:
         """Wait until the arm is at a goal, as far as contacts leave that free; NotReachedError."""
-        waited, state = 0.0, self.read()
+        waited = 0.0
+        state = self.read()
         while True:
             self.take_statuses()
             status = self._known_status()
             distance, angle = _free_distance(state.pose.displacement_to(goal), status)
-            left, turn_left = _free_distance(
-                state.pose_desired.displacement_to(goal), status
-            )
-            near = distance <= position_tolerance and angle <= rotation_tolerance
-            led_there = max(left, turn_left) <= LED_THERE
-            if near and led_there and _is_controlled(status):
+            arrived = distance <= position_tolerance and angle <= rotation_tolerance
+            reference_way = state.pose_desired.displacement_to(goal)
+            reference_distance = max(_free_distance(reference_way, status))
+            reference_arrived = reference_distance <= REFERENCE_TOLERANCE
+            if arrived and reference_arrived and _is_controlled(status):
                 return
             _require_passing(status, state, goal, waited)
-            before, state = state, self.read()
-            waited += state.time - before.time
+            last_time = state.time
+            state = self.read()
+            waited += state.time - last_time
 
     def _known_status(self) -> ControllerStatus:
         """Return the status that was looked at last; RunError if the controller sends none."""
@@ -297,27 +301,30 @@ class MultiContactClient(ControllerLink):
 
     def _limits(self) -> LimitsConfig:
         """Return the controller's limits of the operational point."""
-        names = [
+        fields = [
             name
             for name in LimitsConfig.model_fields
             if name.startswith(('operational_', 'workspace_'))
         ]
-        values = self.get_parameters(
-            topics.CONTROLLER, *(f'limits.{name}' for name in names)
-        )
-        return LimitsConfig(**dict(zip(names, values)))
+        parameters = [f'limits.{name}' for name in fields]
+        values = self.get_parameters(topics.CONTROLLER, *parameters)
+        return LimitsConfig(**dict(zip(fields, values)))
 
     def read(self) -> ArmState:
-        """Return the state of a sample that comes from now on."""
+        """
+        Return the state of a sample that comes from now on.
+
+        RunError if none comes within the timeout.
+        """
         forces, estimated, desired, pose, pose_desired = self.receive_fresh(
             *STATE_TOPICS, one_stamp=True
         )
         return ArmState(
             _time_of(forces),
-            _by_name(forces),
-            _by_name(estimated),
-            _by_name(desired),
-            _by_name(self.get_newest(topics.NOISE_VARIANCE) or JointState()),
+            _efforts_by_name(forces),
+            _efforts_by_name(estimated),
+            _efforts_by_name(desired),
+            _efforts_by_name(self.get_newest(topics.NOISE_VARIANCE) or JointState()),
             *messages.pose_arrays(pose.pose),
             *messages.pose_arrays(pose_desired.pose),
         )
@@ -336,41 +343,45 @@ class MultiContactClient(ControllerLink):
         are within a tolerance [N] of their commands, these contacts are held, and no reaction
         takes the place of control. NotReachedError after a timeout [s] names what is still off.
         """
-        for field, value, unit in (
-            ('force_tolerance', force_tolerance, 'N'),
-            ('timeout', timeout, 's'),
-            ('settle_time', settle_time, 's'),
-        ):
-            messages.require_not_negative(field, value, unit)
-        give_up = time.monotonic() + timeout
-        while missing := self._missing(force_tolerance, settle_time):
-            if time.monotonic() > give_up:
+        messages.require_not_negative('force_tolerance', force_tolerance, 'N')
+        messages.require_not_negative('timeout', timeout, 's')
+        messages.require_not_negative('settle_time', settle_time, 's')
+        deadline = time.monotonic() + timeout
+        while True:
+            obstacles = self._find_obstacles(force_tolerance, settle_time)
+            if not obstacles:
+                return self.read()
+            if time.monotonic() > deadline:
                 raise NotReachedError(
                     f'not within {force_tolerance:g} N after {timeout:g} s: '
-                    f'{", ".join(missing)}'
+                    f'{", ".join(obstacles)}'
                 )
-        return self.read()
 
-    def _missing(self, tolerance: float, settle_time: float) -> list[str]:
+    def _find_obstacles(self, tolerance: float, settle_time: float) -> list[str]:
         """Return what keeps the commanded forces from being held in the next samples."""
-        seen: list[JointState] = []
-        while not seen or 0.0 <= _time_of(seen[-1]) - _time_of(seen[0]) < settle_time:
-            seen += self.receive_fresh(topics.MEASURED_FORCES)
-        measured = dict(zip(seen[0].name, np.mean([x.effort for x in seen], axis=0)))
+        samples: list[JointState] = []
+        while not samples or 0.0 <= _stamp_difference(samples) < settle_time:
+            samples += self.receive_fresh(topics.MEASURED_FORCES)
+        means = np.mean([sample.effort for sample in samples], axis=0)
+        measured = dict(zip(samples[0].name, means))
         status = self._await_value(
             self.status, f'{topics.STATUS.name}: expected a message'
         )
-        missing = [] if _is_controlled(status) else [status.text]
+        obstacles = []
+        if not _is_controlled(status):
+            obstacles.append(status.text)
+        held = STATE_NAMES[HOLDING]
         for name, force in status.forces.items():
-            off, held = abs(measured[name] - force), STATE_NAMES[HOLDING]
-            state = status.contact_states.get(name, held)
-            if status.forces[name.partition('/')[0]] == 0.0:
+            contact = name.partition('/')[0]
+            if status.forces[contact] == 0.0:
                 continue  # a couple acts while its contact does
-            if off > tolerance:
-                missing.append(f'{name} is off by {off:.3g} N')
+            error = abs(measured[name] - force)
+            if error > tolerance:
+                obstacles.append(f'{name} is off by {error:.3g} N')
+            state = status.contact_states.get(name, held)
             if state != held:
-                missing.append(f'{name} is {state}')
-        return missing
+                obstacles.append(f'{name} is {state}')
+        return obstacles
 
 
 def _is_controlled(status: ControllerStatus) -> bool:
@@ -427,7 +438,7 @@ def _require_free(
 
 def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
     """Refuse to go a way, shape (6,) [m, rad], in a shorter time than the limits allow [s]."""
-    shortest = shortest_duration(way, limits)
+    shortest = shortest_motion_duration(way, limits)
     if duration < shortest:
         raise CommandRefusedError(
             f'{topics.MOTION_COMMAND.name}: duration: expected at least {shortest:.3g} s for '
@@ -437,8 +448,15 @@ def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
 
 
 def _time_of(message: JointState) -> float:
+    """Return the stamp of a message [s]."""
     return messages.stamp_to_ns(message.header.stamp) * 1e-9
 
 
-def _by_name(message: JointState) -> dict[str, float]:
+def _stamp_difference(samples: list[JointState]) -> float:
+    """Return the time from the first sample to the last [s]."""
+    return _time_of(samples[-1]) - _time_of(samples[0])
+
+
+def _efforts_by_name(message: JointState) -> dict[str, float]:
+    """Return the efforts of a message by their names."""
     return dict(zip(message.name, message.effort))

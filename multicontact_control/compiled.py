@@ -30,43 +30,58 @@ def find_cache_folder() -> Path | None:
     """
     Return the folder of what is compiled of these sources, None where none can be written.
 
-    It lies in ``NUMBA_CACHE_DIR``, or else beside the sources or in the user's cache folder.
+    It lies in ``NUMBA_CACHE_DIR``, or else beside the sources or in the user's cache folder. Its
+    name is a hash over all kernels: numba compares a function's own file alone.
     """
-    # Its name is a hash over all kernels: numba compares a function's own file alone.
-    digest = hashlib.sha256()
-    for module in sorted(path for folder in SOURCES for path in folder.rglob('*.py')):
-        text = module.read_bytes()
-        if b'@compiled' in text:
-            digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode() + text)
+    name = f'{HERE.name}-{_hash_kernels()[:16]}'
     user = os.environ.get('XDG_CACHE_HOME') or '~/.cache'
+    places = [f'{HERE}/__pycache__/kernels', f'{user}/{HERE.name}']
     chosen = os.environ.get('NUMBA_CACHE_DIR')
-    for base in (
-        [chosen] if chosen else [f'{HERE}/__pycache__/kernels', f'{user}/{HERE.name}']
-    ):
-        with contextlib.suppress(
-            OSError, RuntimeError
-        ):  # not writable, or there is no home
-            folder = Path(base).expanduser() / f'{HERE.name}-{digest.hexdigest()[:16]}'
+    if chosen:
+        places = [chosen]
+    for place in places:
+        # A place that is not writable, or in a home that does not exist, is passed over.
+        with contextlib.suppress(OSError, RuntimeError):
+            folder = Path(place).expanduser() / name
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             return folder
     return None
 
 
+def _hash_kernels() -> str:
+    """Return a hash over the paths, times and texts of all modules with kernels."""
+    digest = hashlib.sha256()
+    modules: list[Path] = []
+    for folder in SOURCES:
+        modules += folder.rglob('*.py')
+    for module in sorted(modules):
+        text = module.read_bytes()
+        if b'@compiled' in text:
+            digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode() + text)
+    return digest.hexdigest()
+
+
 def compiled(function: FunctionT) -> FunctionT:
-    """Compile a function with numba on its first call, or take it from the cache on disk."""
-    folder, config = find_cache_folder(), cast(Any, numba.config)
-    before, config.CACHE_DIR = config.CACHE_DIR, str(folder or '')
+    """
+    Compile a function with numba on its first call, or take it from the cache on disk.
+
+    Divisions by zero give infinity or NaN, as those of numpy do.
+    """
+    folder = find_cache_folder()
+    config = cast(Any, numba.config)
+    folder_of_others = config.CACHE_DIR  # in this process, which they keep
+    config.CACHE_DIR = str(folder or '')
     kernel: Any = numba.njit(cache=folder is not None, error_model='numpy')(function)
-    config.CACHE_DIR = before  # others in the process keep their own cache
+    config.CACHE_DIR = folder_of_others
     _kernels.append(kernel)
     return cast(FunctionT, kernel)
 
 
 def count_compilations() -> int:
     """Return how often this process had to compile, because nothing on disk served."""
-    return sum(
-        sum(kernel.stats.cache_misses.values())
-        for kernel in _kernels
-        if hasattr(kernel, 'stats')
-    )
+    compilations = 0
+    for kernel in _kernels:
+        if hasattr(kernel, 'stats'):
+            compilations += sum(kernel.stats.cache_misses.values())
+    return compilations

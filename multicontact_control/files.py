@@ -11,14 +11,18 @@ from multicontact_control.errors import ConfigError
 
 
 def replace_text_file(path: Path, text: str) -> None:
-    """Replace a file by text in UTF-8."""
+    """
+    Replace a file by text in UTF-8.
+
+    The text is written beside it first, so that a program that ends meanwhile leaves the old file.
+    """
     partial = path.with_suffix('.partial')
     partial.write_text(text, encoding='utf-8')
     partial.replace(path)
 
 
 def replace_json_file(path: Path, content: Any) -> None:
-    """Replace a file by JSON values; ValueError for a number that is not finite."""
+    """Replace a file by indented JSON values; ValueError for a number that is not finite."""
     replace_text_file(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
 
 
@@ -33,9 +37,15 @@ def read_json_file(path: Path) -> Any:
 
 
 def replace_nonfinite_numbers(value: Any) -> Any:
-    """Return JSON values with None for every number that is not finite."""
+    """
+    Return nested JSON values with None for every number that is not finite.
+
+    JSON knows neither NaN nor infinity.
+    """
     if isinstance(value, dict):
         return {name: replace_nonfinite_numbers(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [replace_nonfinite_numbers(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

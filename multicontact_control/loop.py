@@ -14,7 +14,7 @@ from pathlib import Path
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import offset_shares, project_on_contacts
-from multicontact_control.control.controller import ControlOutput, Design
+from multicontact_control.control.controller import ControllerDesign, ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
@@ -28,9 +28,10 @@ from multicontact_control.supervision.report import EventLog, SupervisorStatus
 from multicontact_control.supervision.supervisor import Supervisor, unsupervised_error
 import numpy as np
 
-# m and rad of a commanded motion that contacts do not leave free, from which on it is told:
+# m and rad of a commanded motion that contacts do not leave free, up to which it is not reported:
 # a tool that follows a surface leaves the height that was commanded, too.
-UNTOLD_WAY, UNTOLD_TURN = 0.005, 0.05
+UNREPORTED_DISTANCE = 0.005
+UNREPORTED_ANGLE = 0.05
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
 VELOCITIES_IN_DOUBT = (
     'the joint velocities are in doubt (joints_velocity): prove them in motion, '
@@ -86,14 +87,17 @@ class ControlLoop:
             )
         limits.check(config)
         self.limits = limits
-        source = scenario or CommandedTask(config.column_names, config.leader_of)
-        self._commanded = source if isinstance(source, CommandedTask) else None
+        source = scenario or CommandedTask(config.column_names, config.leading_columns)
+        self._commanded: CommandedTask | None = None
+        if isinstance(source, CommandedTask):
+            self._commanded = source
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
+        resolutions = ', '.join(map(str, self.supervisor.controller.resolutions))
         self.remark = (
             'standard deviation of the contact forces by the noise of the sensor: '
-            + (', '.join(map(str, self.supervisor.controller.resolutions)))
+            f'{resolutions}'
         )
         self.push_gate = PushGate(
             required=config.sensor.require_push_test,
@@ -104,22 +108,28 @@ class ControlLoop:
 
     @property
     def config(self) -> ControllerConfig:
-        """Return the configuration in force."""
+        """Return the configuration in force, which `reconfigure` and `use` replace as a whole."""
         return self.supervisor.config
 
     @property
     def held(self) -> bool:
-        """Whether pose and forces are held."""
+        """Whether pose and forces are held, by `hold`: commands are refused until a release."""
         return self.supervisor.task.held
 
     def restart(self) -> None:
-        """Forget the past: the next sample is the first."""
+        """
+        Forget the past: the next sample is the first.
+
+        Commands, contacts, torques and events are forgotten; what is configured stays.
+        """
         self.supervisor.reset()
         self.push_gate.restart_test()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
-        self._inputs, self.time, self._commanded_at = TickInputs(0.0), 0.0, -math.inf
+        self._inputs = TickInputs(0.0)
+        self.time = 0.0
+        self._commanded_at = -math.inf  # the newest new force [s]
 
     def step(self, inputs: TickInputs) -> Vector:
         """
@@ -128,43 +138,46 @@ class ControlLoop:
         If not supervised: MulticontactError if a reading is missing, or there is no torque for
         this posture.
         """
-        self._inputs, self.time = inputs, inputs.time
+        self._inputs = inputs
+        self.time = inputs.time
         output, status = self.supervisor.step(inputs)
-        self.output = None if self.supervisor.safe else output
+        self.output = output
+        if self.supervisor.safe:
+            self.output = None
         if status is self.status:
             self.events.repeats += 1
         elif status is not None:
             self.events.note_status(inputs.time - inputs.ahead, status)
         self.status = status
         if self.push_gate.phase:
-            self._push(inputs)
+            self._continue_push_test(inputs)
         return output.torque
 
     def stop(self) -> Vector:
-        """Answer the newest sample by the safe behaviour, as all that follow until a restart."""
+        """
+        Answer the newest sample by the safe behaviour, as all that follow until a restart.
+
+        Returns the torque, shape (n,) [N m], which starts from the one that acts.
+        """
         self.supervisor.stop()
         return self.step(self._inputs)
 
-    def _push(self, inputs: TickInputs) -> None:
-        """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
+    def _continue_push_test(self, inputs: TickInputs) -> None:
+        """Take a sample with a new wrench into a push test; allow force control once it passes."""
         if self.supervisor.velocities_on_probation:
             self.push_gate.fail_test(VELOCITIES_IN_DOUBT)
         if self.output is None or not self.push_gate.phase:
             return
-        joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
+        joints = inputs.joints
+        wrench = inputs.wrench
+        stage = self.supervisor.inputs
+        if not stage.wrench_arrived or not joints or not wrench:
+            return
+        frame = self.supervisor.controller.arm.frames[0]
         if (
-            stage.wrench_arrived
-            and joints
-            and wrench
-            and joints.stamp == wrench.stamp
-            and (
-                self.push_gate.add_fit_sample(
-                    self.supervisor.controller.arm.frames[0],
-                    stage.raw_wrench,
-                    self.config.tool,
-                )
-            )
-            and (self.push_gate.open)
+            joints.stamp == wrench.stamp
+            and self.push_gate.take_sample(frame, stage.raw_wrench, self.config.tool)
+            and self.push_gate.open
         ):
             self.supervisor.gate.start_blend()
             self.supervisor.task.set_lock(False)
@@ -185,35 +198,45 @@ class ControlLoop:
         self._require_rest('push test')
         if self.supervisor.velocities_on_probation:
             raise CommandError('push test', hint=VELOCITIES_IN_DOUBT)
-        self.push_gate.start_test(
-            config,
-            {
-                name: np.array(x.point_operational)
-                for name, x in self.config.contacts.items()
-            },
-        )
+        points = {}
+        for name, contact in self.config.contacts.items():
+            points[name] = np.array(contact.point_operational)
+        self.push_gate.start_test(config, points)
         self.supervisor.gate.start_blend()
         self.supervisor.task.set_lock(True)
         return self.push_gate.instruction
 
     def cancel_push_test(self) -> str:
-        """Take back a push test, see `PushGate.cancel_test`; return what is allowed now."""
+        """
+        Take back a push test, see `PushGate.cancel_test`; return what is allowed now, in words.
+
+        Force control is allowed again if an earlier test was passed or none is required.
+        """
         self.push_gate.cancel_test()
         self.supervisor.gate.start_blend()
         self.supervisor.task.set_lock(not self.push_gate.open)
         return self.push_gate.instruction or CANCELLED
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """Go on with another configuration; ConfigError and nothing changed if that cannot be."""
+        """
+        Go on with another configuration from the next sample on.
+
+        ConfigError and nothing changed if that cannot be. It may take longer than a period: where
+        samples come meanwhile, call `design` in another thread, then `use`.
+        """
         self.use(self.design(config))
 
-    def design(self, config: ControllerConfig) -> Design:
+    def design(self, config: ControllerConfig) -> ControllerDesign:
         """Return what to go on with; see `Controller.design`: another thread may wait for it."""
         self._keep_pushed_tool(config)
         return self.supervisor.controller.design(config)
 
-    def use(self, design: Design) -> None:
-        """Go on with what has been designed, without a jump."""
+    def use(self, design: ControllerDesign) -> None:
+        """
+        Go on with what has been designed, without a jump of the torque.
+
+        CommandError if a push test runs meanwhile and the tool is another.
+        """
         self._keep_pushed_tool(design.config)  # a push test may have begun meanwhile
         self.supervisor.adopt_design(design)
 
@@ -235,13 +258,13 @@ class ControlLoop:
         `centres` has the centre of pressure instead of a couple, by the couple's name: from the
         centre of the contact, along its direction or across it [m].
         """
-        task = self._commandable()
+        task = self._require_commanded_task()
         shares = offset_shares(self.config, centres or {})
-        followed = {
-            name: share for name, share in task.shares.items() if name not in forces
-        }
+        followed = task.shares
+        for name in forces:
+            followed.pop(name, None)
         self.limits.check_forces(
-            self.config, forces, before=task.forces, shares={**followed, **shares}
+            self.config, forces, before=task.forces, shares=followed | shares
         )
         if task.set_forces(forces, shares):
             if not self.time - self._commanded_at <= STREAM_TIME:
@@ -254,25 +277,24 @@ class ControlLoop:
 
         Returns what they do not, in words; empty if that is next to nothing.
         """
-        task = self._commandable()
+        task = self._require_commanded_task()
         check_motion(motion, self.config.limits)
-        left_out = self._left_out(motion)
+        unfree_part = self._describe_unfree_part(motion)
         task.set_motion(
             motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout
         )
-        return left_out
+        return unfree_part
 
-    def _left_out(self, motion: MotionReading) -> str:
+    def _describe_unfree_part(self, motion: MotionReading) -> str:
         """Return which part of the way to a commanded motion contacts do not leave free."""
         placing = self.supervisor.task.placing_columns()
         if self.output is None or not placing:
             return ''
-        way = self.output.pose_des.displacement_to(
-            Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
-        )
+        goal = Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
+        way = self.output.pose_des.displacement_to(goal)
         placed = project_on_contacts(way, np.array(list(placing.values())))
         distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
-        if distance <= UNTOLD_WAY and angle <= UNTOLD_TURN:
+        if distance <= UNREPORTED_DISTANCE and angle <= UNREPORTED_ANGLE:
             return ''
         return (
             f'{1e3 * distance:.3g} mm and {angle:.3g} rad of the way are not obeyed: there '
@@ -281,11 +303,13 @@ class ControlLoop:
 
     @property
     def commanded_forces(self) -> dict[str, float]:
-        """Return the commanded forces and couples by name [N]; none in a scenario."""
-        return {} if self._commanded is None else self._commanded.forces
+        """Return the commanded forces and couples by name [N]; none while a scenario is played."""
+        if self._commanded is None:
+            return {}
+        return self._commanded.forces
 
-    def _commandable(self) -> CommandedTask:
-        """Return the task that obeys commands now."""
+    def _require_commanded_task(self) -> CommandedTask:
+        """Return the task that obeys commands now; CommandError if there is none."""
         if self._commanded is None:
             raise CommandError('reference_file', hint='the controller plays a scenario')
         self._require_running()
@@ -304,15 +328,17 @@ class ControlLoop:
                 '~/push_test', hint=f'pass it first: {self.push_gate.instruction}'
             )
         if not self.supervisor.started:
-            causes = () if self.status is None else self.status.causes
-            raise CommandError(
-                'control',
-                hint='wait: it has not begun'
-                + (f' ({", ".join(causes)})' if causes else ''),
-            )
+            hint = 'wait: it has not begun'
+            if self.status is not None and self.status.causes:
+                hint += f' ({", ".join(self.status.causes)})'
+            raise CommandError('control', hint=hint)
 
     def hold(self, wanted: bool) -> str:
-        """Hold the present pose and the desired forces, or go on; return what happens now."""
+        """
+        Hold the present pose and the desired forces, or go on; return what happens now.
+
+        A released task goes on where it was held.
+        """
         self._require_running()
         if not wanted:
             self.supervisor.request_retry()
@@ -322,7 +348,11 @@ class ControlLoop:
         return 'held' if wanted else 'released'
 
     def retry(self) -> str:
-        """Resume control that is latched, and seek contacts given up; return what happens now."""
+        """
+        Resume control that is latched, and seek contacts given up; return what happens now.
+
+        CommandError if there is nothing to resume.
+        """
         if not self.supervisor.guarded:
             raise unsupervised_error()
         if not self.supervisor.request_retry():

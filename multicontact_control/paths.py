@@ -21,35 +21,35 @@ def find_config_folder(package_dir: Path = PACKAGE_DIR) -> Path:
     if (package_dir.parent / 'package.xml').is_file():
         return package_dir.parent / 'config'
     # <prefix>/lib/pythonX.Y/site-packages/multicontact_control
-    prefixes = [
-        *map(str, package_dir.parents[3:4]),
-        sys.prefix,
-        *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep),
-    ]
-    folders = [
-        Path(prefix, 'share/multicontact_control/config')
-        for prefix in prefixes
-        if prefix
-    ]
-    if folder := next(filter(Path.is_dir, folders), None):
-        return folder
+    prefixes = [str(folder) for folder in package_dir.parents[3:4]]
+    prefixes.append(sys.prefix)
+    prefixes += os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    searched = []
+    for prefix in filter(None, prefixes):
+        folder = Path(prefix, 'share/multicontact_control/config')
+        if folder.is_dir():
+            return folder
+        searched.append(str(folder))
     raise ConfigError(
         'config',
         'the configuration folder of the package',
-        f'none of {", ".join(map(str, folders))}',
+        f'none of {", ".join(searched)}',
     )
 
 
 def find_named_file(kind: str, folder: str, name: str) -> Path:
-    """Return a YAML file in a folder of ``config/`` by its name, or any file by its path."""
-    there = find_config_folder() / folder
-    for path in (there / f'{name}.yaml', Path(name)):
+    """
+    Return a YAML file in a folder of ``config/`` by its name, or any file by its path.
+
+    ConfigError if there is none, with the names of all; `kind` is what such a file is, e.g.
+    ``scenario``.
+    """
+    parent = find_config_folder() / folder
+    for path in (parent / f'{name}.yaml', Path(name)):
         if path.is_file():
             return path
-    known = ', '.join(
-        sorted(
-            file.relative_to(there).with_suffix('').as_posix()
-            for file in there.rglob('*.yaml')
-        )
+    known = sorted(
+        file.relative_to(parent).with_suffix('').as_posix()
+        for file in parent.rglob('*.yaml')
     )
-    raise ConfigError(kind, f'one of {known}, or a path', f"'{name}'")
+    raise ConfigError(kind, f'one of {", ".join(known)}, or a path', f"'{name}'")

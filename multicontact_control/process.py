@@ -17,26 +17,34 @@ THREAD_VARIABLES = (
     'NUMBA_NUM_THREADS',
 )
 PR_SET_TIMERSLACK = 29
-# s, in which a thread that computes lets another one go on: a sample does not wait for it longer.
+# s, after which a thread that computes lets another one go on: a sample waits no longer for it.
 SWITCH_INTERVAL = 5e-5
-MCL_CURRENT, MCL_FUTURE = 1, 2
+MCL_CURRENT = 1
+MCL_FUTURE = 2
 
 
 def limit_threads() -> None:
-    """Limit linear algebra to one thread by default; call it before numpy is imported."""
+    """
+    Limit linear algebra to one thread by default; call it before numpy is imported.
+
+    What is set in the environment stays.
+    """
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
 
 
 def settle_process() -> None:
-    """Prepare this process for short, regular work; call it when everything is set up."""
+    """
+    Prepare this process for short, regular work; call it when everything is set up.
+
+    The garbage collector is switched off: a full collection takes several control periods.
+    """
     gc.collect()  # a full collection takes several control periods
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(SWITCH_INTERVAL)
-    with contextlib.suppress(
-        AttributeError, OSError
-    ):  # Linux: waits are 50 us too long else
+    with contextlib.suppress(AttributeError, OSError):
+        # Of Linux: else each wait is 50 us too long.
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
@@ -54,28 +62,30 @@ def claim_processor(
     problems: list[str] = []
 
     @contextlib.contextmanager
-    def asking(what: str, need: str) -> Iterator[None]:
+    def noting_failure(request: str, need: str) -> Iterator[None]:
         try:
             yield
         except (AttributeError, OSError, ValueError) as error:
-            problems.append(f'{what}: not possible here ({error}); needs {need}')
+            problems.append(f'{request}: not possible here ({error}); needs {need}')
 
     if cpus:
-        with asking(f'processors {list(cpus)}', 'existing processors'):
-            for thread in map(int, os.listdir('/proc/self/task')):
+        with noting_failure(f'processors {list(cpus)}', 'existing processors'):
+            for thread in os.listdir('/proc/self/task'):
                 with contextlib.suppress(ProcessLookupError):  # it has ended
-                    os.sched_setaffinity(thread, cpus)
+                    os.sched_setaffinity(int(thread), cpus)
     if fifo_priority:
-        with asking(
+        with noting_failure(
             f'SCHED_FIFO {fifo_priority}',
             'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size',
         ):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
     if lock_memory:
-        with asking(
+        with noting_failure(
             'locked memory',
             'CAP_IPC_LOCK or a memlock limit (ulimit -l) of the size of the process',
         ):
-            if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE):
-                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+            lock_all_memory = ctypes.CDLL(None, use_errno=True).mlockall
+            if lock_all_memory(MCL_CURRENT | MCL_FUTURE):
+                code = ctypes.get_errno()
+                raise OSError(code, os.strerror(code))
     return problems

@@ -27,16 +27,17 @@ RecordT_co = TypeVar('RecordT_co', covariant=True)
 
 class Record(Protocol):
     """
-    One record: beside every dtype stands what is derived of this, for editors and type checkers.
+    One record: what is derived of this names the fields, for editors and type checkers.
 
-    Compiled code reads and writes the fields as attributes, Python by their names.
+    `record_dtype` makes its dtype. Compiled code reads and writes the fields as attributes,
+    Python by their names.
     """
 
     def __getitem__(self, field: str) -> Any:
-        """Return a field."""
+        """Return a field by its name."""
 
     def __setitem__(self, field: str, value: Any) -> None:
-        """Set a field."""
+        """Set a field by its name."""
 
 
 class Records(Protocol[RecordT_co]):
@@ -184,11 +185,8 @@ class ResidualStatistics(Record, Protocol):
     calm_wrench_torque: float  # J_i^T f when it was [N m]
 
 
-RESIDUAL_STATISTICS = record_dtype(ResidualStatistics)
-
-
 class JointConfig(Record, Protocol):
-    """What is set for one joint."""
+    """What is set for one joint: friction, stops, limits, and thresholds of its residual."""
 
     # Friction to compensate [N m], [N m s/rad].
     coulomb: float
@@ -210,11 +208,12 @@ class JointConfig(Record, Protocol):
     learnt_friction_limit: float
 
 
-JOINT_CONFIG = record_dtype(JointConfig)
-
-
 class JointWatch(Record, Protocol):
-    """What the collision watch knows of one joint."""
+    """
+    What the collision watch knows of one joint: the torque that acted, and what explains it.
+
+    The residual counts as a touch beyond `threshold + dynamic_threshold`.
+    """
 
     effort: float  # torque that acted since the sample before [N m]
     effort_fault: int  # why that is not measured; see `supervision.inputs`
@@ -236,20 +235,14 @@ class JointWatch(Record, Protocol):
     residual_statistics: ResidualStatistics
 
 
-JOINT_WATCH = record_dtype(JointWatch)
-
-
 class JointAnswer(Record, Protocol):
-    """What the control law answers for one joint."""
+    """What the control law answers for one joint, and what goes before the rest at a limit."""
 
     torque: float  # Gamma [N m]
     unlimited: float  # the same before it is brought within its limits [N m]
 
-    # Of that, what goes before the rest at a limit: see `finish_torque` [N m].
+    # Of that, what goes before the rest at a limit: see `limit_torque` [N m].
     priority: float
-
-
-JOINT_ANSWER = record_dtype(JointAnswer)
 
 
 class JointGate(Record, Protocol):
@@ -264,9 +257,6 @@ class JointGate(Record, Protocol):
     # See `supervision.gate.blend_torque` [N m].
     blended_difference: float
     faded_difference: float
-
-
-JOINT_GATE = record_dtype(JointGate)
 
 
 class Joint(Record, Protocol):
@@ -294,14 +284,11 @@ JOINT = record_dtype(Joint)
 
 
 class FrameConfig(Record, Protocol):
-    """What is set for the operational frame."""
+    """What is set for the operational frame: speeds beyond which the arm is too fast."""
 
     # Beyond which it is too fast [m/s], [rad/s].
     speed_limit: float
     turn_limit: float
-
-
-FRAME_CONFIG = record_dtype(FrameConfig)
 
 
 class Frame(Record, Protocol):
@@ -322,7 +309,7 @@ FRAME = record_dtype(Frame)
 
 
 class Tool(Record, Protocol):
-    """What hangs on the wrist sensor; one."""
+    """What hangs on the wrist sensor, whose weight is taken off the readings; one."""
 
     com_sensor: Annotated[Vector, 3]  # centre of mass in the sensor frame [m]
     weight: Annotated[Vector, 3]  # m g, world axes [N]
@@ -337,7 +324,7 @@ TOOL = record_dtype(Tool)
 
 
 class MomentumConfig(Record, Protocol):
-    """What is set for the generalised-momentum observer."""
+    """What is set for the generalised-momentum observer, which watches for collisions."""
 
     bandwidth: float  # K [1/s], 0 for none
     dynamic_share: float  # of what accelerates the arm, added to the thresholds
@@ -346,11 +333,8 @@ class MomentumConfig(Record, Protocol):
     is_input: bool
 
 
-MOMENTUM_CONFIG = record_dtype(MomentumConfig)
-
-
 class Momentum(Record, Protocol):
-    """The generalised-momentum observer; one."""
+    """The generalised-momentum observer, whose residuals are in the joints; one."""
 
     config: MomentumConfig
 
@@ -365,11 +349,12 @@ class Momentum(Record, Protocol):
     touched: bool  # whether one has been beyond it since they were
 
 
-MOMENTUM = record_dtype(Momentum)
-
-
 class Task(Record, Protocol):
-    """Where the operational frame is to be, world axes."""
+    """
+    Where the operational frame is to be and how it is to move, world axes.
+
+    There are two: `control.wanted`, that a source asks for, and `control.task`, within the limits.
+    """
 
     position: Annotated[Vector, 3]  # x_des [m]
 
@@ -378,9 +363,6 @@ class Task(Record, Protocol):
 
     twist: Annotated[Vector, 6]  # theta_des [m/s, rad/s]
     acceleration: Annotated[Vector, 6]  # a_des [m/s^2, rad/s^2]
-
-
-TASK = record_dtype(Task)
 
 
 class Control(Record, Protocol):
@@ -453,9 +435,6 @@ class ContactConfig(Record, Protocol):
     surface_speed: float  # of the surface along its normal [m/s]
     surface_gain: float  # share of the way that its estimate goes per period
     surface_speed_limit: float  # bound of that, 0 where it is not estimated [m/s]
-
-
-CONTACT_CONFIG = record_dtype(ContactConfig)
 
 
 class Contact(Record, Protocol):

@@ -23,20 +23,20 @@ LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that wa
 
 
 class Action(Enum):
-    """What to do now."""
+    """What the control loop does now; `SampleTiming` says when."""
 
     WAIT = 'nothing'
     STEP = 'step by a whole sample'
-    ANEW = 'forget the past, then step by a whole sample'
-    HALF = 'step by half a sample'
-    WITHOUT = 'step without a sample'
-    REPEAT = 'send the newest torque again, as the answer to this sample'
-    SHOW = 'publish the last tick again, for the estimator that missed it'
+    STEP_ANEW = 'forget the past, then step by a whole sample'
+    STEP_BY_HALF = 'step by half a sample'
+    STEP_WITHOUT_SAMPLE = 'step without a sample'
+    REPEAT_TORQUE = 'send the newest torque again, as the answer to this sample'
+    PUBLISH_AGAIN = 'publish the last tick again, for the estimator that missed it'
     REFUSE = 'refuse the sample: it is older than the last'
 
 
 class Decision(NamedTuple):
-    """What to do now, and the inputs if it is a step."""
+    """What the control loop does now, and the inputs of the tick if it is a step."""
 
     action: Action
     inputs: TickInputs | None = None
@@ -46,18 +46,20 @@ class SampleTiming:
     """
     Pairs the readings of one time, and decides what each message, or its absence, leads to.
 
-    ================================== =================== =================== ================
-    What has come                      supervised          bare                lockstep
-    ================================== =================== =================== ================
-    one half of a sample               WAIT                WAIT                WAIT
-    both, within `pair_tolerance`      STEP                STEP                STEP with R [1]_
-    the same stamp again, answered     REPEAT              REPEAT              REPEAT
-    the same stamp again, waiting      WAIT                WAIT                SHOW
-    one sample older than the last     REFUSE              ANEW                ANEW
-    a second, not older than the first STEP [2]_           ANEW                ANEW
-    no sample for `patience`           HALF if one waits   WAIT                WAIT
-    none one period later, or later    WITHOUT [3]_        WAIT                WAIT
-    ================================== =================== =================== ================
+    ================================== =================== ============= ==================
+    What has come                      supervised          bare          lockstep
+    ================================== =================== ============= ==================
+    one half of a sample               WAIT                WAIT          WAIT
+    both, within `pair_tolerance`      STEP                STEP          STEP with R [1]_
+    the same stamp again, answered     REPEAT_TORQUE       REPEAT_TORQUE REPEAT_TORQUE
+    the same stamp again, waiting      WAIT                WAIT          PUBLISH_AGAIN
+    one sample older than the last     REFUSE              STEP_ANEW     STEP_ANEW
+    a second, not older than the first STEP [2]_           STEP_ANEW     STEP_ANEW
+    no sample for `patience`           STEP_BY_HALF if     WAIT          WAIT
+                                       one half waits
+    none one period later, or later    STEP_WITHOUT_SAMPLE WAIT          WAIT
+                                       [3]_
+    ================================== =================== ============= ==================
 
     Nothing is missing before the first sample. The time of a tick is its stamp less the first;
     bare, the law's time goes in whole periods.
@@ -84,9 +86,10 @@ class SampleTiming:
     last_stamp, answered_stamp, tick
         Of the newest sample, and of what is answered now: a sample, or one that should have come
         by now [ns], -1 for none; the number of the newest, from 0.
-    variance, due
-        The newest R, shape (r,) [N^2], or None; the monotonic time of `late` [ns], 0 for never.
-    unpaired, skipped, apart, tolerance
+    variance, silence_deadline
+        The newest R, shape (r,) [N^2], or None; the monotonic time from which on
+        `decide_on_silence` has something to decide [ns], 0 for never.
+    unpaired, skipped, stamp_difference, tolerance
         Readings without their other half; samples that never came or were overtaken; by how much
         the stamps of the newest two readings differ, 0 once they pair, and may in a pair [ns].
 
@@ -102,128 +105,202 @@ class SampleTiming:
         patience: float = 0.0,
         pair_tolerance: float = 0.0,
     ) -> None:
-        self._rate, self._period = rate, 1.0 / rate
-        self._supervised, self._lockstep, self._feels = supervised, lockstep, feels
+        self._rate = rate
+        self._period = 1.0 / rate
         self._period_ns = self._period * NANOSECONDS
-        self._patience_ns = (
-            patience * self._period_ns if supervised and not lockstep else 0.0
-        )
+        self._supervised = supervised
+        self._lockstep = lockstep
+        self._feels = feels
+        self._patience_ns = 0.0
+        if supervised and not lockstep:
+            self._patience_ns = patience * self._period_ns
         self.tolerance = round(pair_tolerance * self._period_ns)
-        self._halves: dict[type, Any] = {}
+        self._halves: dict[type, Any] = {}  # the newest readings that have no pair
         self._waiting: tuple[int, JointInput | None, WrenchInput | None] | None = None
         self._came_again = False
-        self.unpaired = self.apart = 0
+        self.unpaired = 0
+        self.stamp_difference = 0
         self.restart()
 
     def restart(self) -> None:
-        """Forget the past: the next sample is the first. In lockstep a sample that waits stays."""
-        if not self._lockstep:  # it may be old
-            self._waiting = None
+        """
+        Forget the past: the next sample is the first.
+
+        In lockstep a sample that waits for its R stays.
+        """
+        if not self._lockstep:
+            self._waiting = None  # it may be old
         self._first_stamp: int | None = None
         self._older_stamp: int | None = None
-        self._variance_stamp = self.last_stamp = self.answered_stamp = -1
+        self.last_stamp = -1
+        self.answered_stamp = -1
+        self._variance_stamp = -1
         self.variance: Vector | None = None
         self._inputs = TickInputs(0.0)
-        self._time = self._shift = self._since = 0.0
-        self._late = 0  # periods without a sample since the newest one
+        self._time = 0.0  # of the newest tick [s]
+        self._shift = 0.0  # of the stamps, by the ticks without a sample [s]
+        self._last_arrival = 0.0  # monotonic time at which the newest sample came [ns]
+        self._ticks_without_sample = 0  # since the newest one
         self._half_answered = False  # whether the newest sample came as one half
-        self.tick = self.skipped = self.due = 0
+        self.tick = 0
+        self.skipped = 0
+        self.silence_deadline = 0
 
-    def add(self, reading: JointInput | WrenchInput) -> None:
-        """Take in a reading; with its other half it is a sample that waits."""
+    def add_reading(self, reading: JointInput | WrenchInput) -> None:
+        """
+        Take in a reading; with its other half it is a sample that waits for its tick.
+
+        A reading whose other half never came is counted as unpaired.
+        """
         self.unpaired += type(reading) in self._halves
         self._halves[type(reading)] = reading
-        joints, wrench = self._halves.get(JointInput), self._halves.get(WrenchInput)
-        if joints is None or (wrench is None and self._feels):
+        joints = self._halves.get(JointInput)
+        wrench = self._halves.get(WrenchInput)
+        if joints is None or not self._is_whole(joints, wrench):
             return
-        self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
-        if abs(self.apart) <= self.tolerance:
-            self._came_again = (
-                self._waiting is not None and self._waiting[0] == joints.stamp
-            )
+        self.stamp_difference = 0
+        if wrench is not None:
+            self.stamp_difference = wrench.stamp - joints.stamp
+        if abs(self.stamp_difference) <= self.tolerance:
+            waiting = self._waiting
+            self._came_again = waiting is not None and waiting[0] == joints.stamp
             self._waiting = joints.stamp, joints, wrench
-            self._halves, self.apart = {}, 0
+            self._halves = {}
+            self.stamp_difference = 0
 
-    def add_variance(self, stamp: int, variance: Vector) -> None:
+    def _is_whole(self, joints: Any, wrench: Any) -> bool:
+        """Return whether readings, each None where it is missing, are a whole sample."""
+        return joints is not None and (wrench is not None or not self._feels)
+
+    def add_noise_variance(self, stamp: int, variance: Vector) -> None:
         """Use an R [N^2] from the next tick on; its stamp is that of a sample [ns]."""
-        if stamp <= self.last_stamp:  # else left over from before a restart
-            self._variance_stamp, self.variance = stamp, variance
-            time = (stamp - (self._first_stamp or 0)) * 1e-9 + self._shift
-            self._inputs = self._inputs._replace(variance=VarianceInput(time, variance))
+        if stamp > self.last_stamp:  # left over from before a restart
+            return
+        self._variance_stamp = stamp
+        self.variance = variance
+        time = self._seconds_since_first(stamp) + self._shift
+        self._inputs = self._inputs._replace(variance=VarianceInput(time, variance))
 
-    def what_now(self, now: float, *, safe: bool = False) -> Decision:
-        """Decide after a message that came `now` [ns], in the safe behaviour if `safe`."""
+    def _seconds_since_first(self, stamp: int) -> float:
+        """Return the time of a stamp [ns] since the first sample, or since 0 before it [s]."""
+        return (stamp - (self._first_stamp or 0)) * 1e-9
+
+    def decide_on_message(self, now: float, *, safe: bool = False) -> Decision:
+        """
+        Decide after a message that came `now` [ns], in the safe behaviour if `safe`.
+
+        A sample that waits is answered, repeated, refused or waits on, as the table says.
+        """
         if self._waiting is None:
             return Decision(Action.WAIT)
         stamp, joints, wrench = self._waiting
-        came_again, self._came_again = self._came_again, False
+        came_again = self._came_again
+        self._came_again = False
+        if self._is_answered(stamp):
+            self._waiting = None
+            self.answered_stamp = stamp
+            return Decision(Action.REPEAT_TORQUE)
         action = Action.STEP
-        comes_again = stamp == self.last_stamp
-        if self._half_answered and self.last_stamp >= 0:  # or it is its other half
-            comes_again = abs(stamp - self.last_stamp) <= self.tolerance
-        if comes_again:
-            self._waiting, self.answered_stamp = None, stamp
-            return Decision(Action.REPEAT)
         if stamp < self.last_stamp:
             if self._lockstep or not self._supervised:
                 self.restart()
-                action = Action.ANEW
+                action = Action.STEP_ANEW
             elif self._older_stamp is None or stamp < self._older_stamp:
-                self._older_stamp, self._waiting = stamp, None
+                self._older_stamp = stamp
+                self._waiting = None
                 return Decision(Action.REFUSE)
         elif self._lockstep and not safe and self._variance_stamp != self.last_stamp:
-            return Decision(Action.SHOW if came_again else Action.WAIT)
-        if self._first_stamp is None:
-            self._first_stamp = stamp
-        tick = round((stamp - self._first_stamp) * 1e-9 * self._rate)
-        missed = tick - self.tick - 1
-        if 0 < missed <= LONGEST_PAUSE * self._rate:
-            self.skipped += missed
-        time = (stamp - self._first_stamp) * 1e-9 + self._shift
-        if self._late and time <= self._time:
-            self._shift += self._time + self._period - time
-            time = self._time + self._period
-        self._waiting = self._older_stamp = None
-        self.tick, self.last_stamp, self.answered_stamp = tick, stamp, stamp
-        self._time, self._since, self._late = time, now, 0
-        self._half_answered = joints is None or (wrench is None and self._feels)
-        self.due = int(now + self._patience_ns) if self._patience_ns else 0
-        before = self._inputs
+            if came_again:
+                return Decision(Action.PUBLISH_AGAIN)
+            return Decision(Action.WAIT)
+        self._waiting = None
+        self._older_stamp = None
+        self._half_answered = not self._is_whole(joints, wrench)
+        self._take_stamp(stamp, now)
+        newest_joints = self._inputs.joints
+        if joints:
+            newest_joints = joints._replace(stamp=self._time)
+        newest_wrench = self._inputs.wrench
+        if wrench:
+            newest_wrench = wrench._replace(stamp=self._time)
+        time = self._time
+        if not self._supervised:
+            time = self.tick * self._period
+        variance = self._inputs.variance
         self._inputs = TickInputs(
-            time if self._supervised else tick * self._period,
-            joints._replace(stamp=time) if joints else before.joints,
-            wrench._replace(stamp=time) if wrench else before.wrench,
-            before.variance,
-            self._shift,
+            time, newest_joints, newest_wrench, variance, self._shift
         )
         return Decision(action, self._inputs)
 
-    def late(self, now: int) -> Decision:
-        """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
-        if not 0 < self.due <= now:
+    def _is_answered(self, stamp: int) -> bool:
+        """Return whether a sample [ns] is the newest one again, or its other half."""
+        if self._half_answered and self.last_stamp >= 0:
+            return abs(stamp - self.last_stamp) <= self.tolerance
+        return stamp == self.last_stamp
+
+    def _take_stamp(self, stamp: int, now: float) -> None:
+        """Go on to the tick of a sample [ns] that came `now` [ns]."""
+        if self._first_stamp is None:
+            self._first_stamp = stamp
+        elapsed = self._seconds_since_first(stamp)
+        tick = round(elapsed * self._rate)
+        missed = tick - self.tick - 1
+        if 0 < missed <= LONGEST_PAUSE * self._rate:
+            self.skipped += missed
+        time = elapsed + self._shift
+        if self._ticks_without_sample and time <= self._time:
+            self._shift += self._time + self._period - time
+            time = self._time + self._period
+        self.tick = tick
+        self.last_stamp = stamp
+        self.answered_stamp = stamp
+        self._time = time
+        self._last_arrival = now
+        self._ticks_without_sample = 0
+        self.silence_deadline = 0
+        if self._patience_ns:
+            self.silence_deadline = int(now + self._patience_ns)
+
+    def decide_on_silence(self, now: int) -> Decision:
+        """
+        Decide if the deadline has passed `now` [ns] and all that has come is taken in.
+
+        Half a sample that waits is used; without one, time is counted on for each period.
+        """
+        if not 0 < self.silence_deadline <= now:
             return Decision(Action.WAIT)
         newest = max(self._halves.values(), key=lambda half: half.stamp, default=None)
         if newest is not None and newest.stamp > self.last_stamp + self.tolerance:
-            del self._halves[type(newest)]
-            self.unpaired += 1
-            self._waiting = (
-                newest.stamp,
-                *((newest, None) if isinstance(newest, JointInput) else (None, newest)),
-            )
-            since = max(self._since + self._period_ns, now - self._period_ns)
-            return Decision(Action.HALF, self.what_now(since).inputs)
-        periods_late = int((now - self._since - self._patience_ns) // self._period_ns)
-        passed = int((now - self._since) // self._period_ns) if periods_late else 0
-        ticks, self._late = passed - self._late, passed
-        self.due = int(
-            self._since + self._patience_ns + (periods_late + 1) * self._period_ns
-        )
-        if not ticks:  # what is only late is waited for one more period
+            return self._step_by_half(newest, now)
+        silence = now - self._last_arrival
+        periods_late = int((silence - self._patience_ns) // self._period_ns)
+        passed = 0  # periods since the newest sample that a tick answers
+        if periods_late:  # what is only late is waited for one more period
+            passed = int(silence // self._period_ns)
+        ticks = passed - self._ticks_without_sample
+        self._ticks_without_sample = passed
+        deadline = self._last_arrival + self._patience_ns
+        deadline += (periods_late + 1) * self._period_ns
+        self.silence_deadline = int(deadline)
+        if not ticks:
             return Decision(Action.WAIT)
         self.answered_stamp = self.last_stamp + round(passed * self._period * 1e9)
-        counted = ticks * self._period
-        self._time += counted
+        counted_on = ticks * self._period
+        self._time += counted_on
         self._inputs = self._inputs._replace(
-            time=self._time, ahead=self._inputs.ahead + counted
+            time=self._time, ahead=self._inputs.ahead + counted_on
         )
-        return Decision(Action.WITHOUT, self._inputs)
+        return Decision(Action.STEP_WITHOUT_SAMPLE, self._inputs)
+
+    def _step_by_half(self, reading: Any, now: int) -> Decision:
+        """Step by the half of a sample whose other half has not come `now` [ns]."""
+        kind = type(reading)
+        del self._halves[kind]
+        self.unpaired += 1
+        if kind is JointInput:
+            self._waiting = reading.stamp, reading, None
+        else:
+            self._waiting = reading.stamp, None, reading
+        earliest = self._last_arrival + self._period_ns
+        since = max(earliest, now - self._period_ns)
+        return Decision(Action.STEP_BY_HALF, self.decide_on_message(since).inputs)

@@ -10,18 +10,25 @@ class ActuatorDelay:
     """
     Commands that each act a fixed number of ticks after the sample they answer.
 
-    With 0 ticks a command acts in the period that begins with its own sample. Before any command
-    does, the `initial` torque acts, shape (n,) [N m].
+    With 0 ticks a command acts in the period that begins with its own sample.
+
+    Parameters
+    ----------
+    ticks
+        The delay in control periods.
+    initial
+        Torque that acts before any command does, shape (n,) [N m].
+
     """
 
     def __init__(self, ticks: int, initial: Vector) -> None:
         self._ticks = ticks
-        self._held: Vector = np.array(initial, dtype=float)
+        self._acting: Vector = np.array(initial, dtype=float)
         self._commands: dict[int, Vector] = {}
 
-    def command(self, tick: int, torque: Vector) -> None:
+    def enter_command(self, tick: int, torque: Vector) -> None:
         """Enter the command that answers sample `tick`, shape (n,) [N m]; the last one holds."""
-        require_shape('torque', torque, self._held.shape)
+        require_shape('torque', torque, self._acting.shape)
         self._commands[tick] = np.array(torque, dtype=float)
 
     def torque_for(self, tick: int) -> Vector:
@@ -30,6 +37,8 @@ class ActuatorDelay:
 
         The command for sample `tick` - `ticks`, or the newest one before it, shape (n,) [N m].
         """
-        for sample in sorted(x for x in self._commands if x <= tick - self._ticks):
-            self._held = self._commands.pop(sample)
-        return self._held.copy()
+        newest = tick - self._ticks
+        for sample in sorted(self._commands):
+            if sample <= newest:
+                self._acting = self._commands.pop(sample)
+        return self._acting.copy()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
+from multicontact_control.config.base import NonNegativeVector, PositiveVector
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError, format_count
 
@@ -14,8 +15,20 @@ PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
 MAX_ACTUATOR_DELAY = 5
 
 
+def _count_errors(
+    field: str, values: Sequence[Any], count: int
+) -> Iterator[ConfigError]:
+    """Yield an error unless there are as many values as are needed."""
+    if len(values) != count:
+        yield ConfigError(field, format_count(count, 'values'), len(values))
+
+
 class SurfaceConfig(Config):
-    """One compliant, rough surface that one bar tip may touch."""
+    """
+    One compliant, rough surface that one bar tip may touch.
+
+    Several surfaces with the same `contact` are the tips of one edge or plane.
+    """
 
     tip_link: str = parameter(
         ...,
@@ -88,7 +101,7 @@ class SurfaceConfig(Config):
 
 
 class SensorConfig(Config):
-    """The wrist force/torque sensor; force before torque, x y z."""
+    """The simulated wrist force/torque sensor; force before torque, x y z."""
 
     mounting: Vector = parameter(
         (),
@@ -102,7 +115,7 @@ class SensorConfig(Config):
     )
     bias: Vector = parameter((0.0,) * 6, 'Constant offset of each axis.', unit='N, N m')
     saturate: bool = parameter(True, 'Whether readings stop at full scale.')
-    full_scale: Vector = parameter(
+    full_scale: PositiveVector = parameter(
         (100.0, 100.0, 200.0, 5.0, 5.0, 5.0),
         'Largest reading of each axis.',
         unit='N, N m',
@@ -115,23 +128,19 @@ class SensorConfig(Config):
     )
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
-        for name, counts in (
-            ('bias', (6,)),
-            ('full_scale', (6,)),
-            ('mounting', (0, 9)),
-        ):
-            if len(getattr(self, name)) not in counts:
-                yield ConfigError(
-                    f'sensor.{name}', f'{counts[-1]} values', len(getattr(self, name))
-                )
-        if min(self.full_scale) <= 0.0:
-            yield ConfigError(
-                'sensor.full_scale', 'values above 0', min(self.full_scale)
-            )
+        yield from _count_errors('sensor.bias', self.bias, 6)
+        yield from _count_errors('sensor.full_scale', self.full_scale, 6)
+        if self.mounting:
+            yield from _count_errors('sensor.mounting', self.mounting, 9)
 
 
 class PlantConfig(Config):
-    """The simulated arm, its drives, its sensor and what it touches."""
+    """
+    The simulated arm, its drives, its sensor and what it touches.
+
+    Contacts are named as the controller names them; a contact is touched by one surface, or by the
+    tips of an edge or plane, each of which has a surface of its own.
+    """
 
     robot: str = parameter(
         'puma', 'Robot: a name of config/robots, or the path of such a file.'
@@ -156,10 +165,10 @@ class PlantConfig(Config):
     drives: Literal['rigid', 'flexible'] = parameter(
         'flexible', 'Whether rotors and links are one or joined by springs.'
     )
-    drive_stiffness: Vector = parameter(
+    drive_stiffness: PositiveVector = parameter(
         (), 'Stiffness between rotor and link, joint side.', unit='N m/rad'
     )
-    drive_damping: Vector = parameter(
+    drive_damping: NonNegativeVector = parameter(
         (), 'Damping between rotor and link, joint side.', unit='N m s/rad'
     )
     joint_sensing: Literal['motor', 'joint'] = parameter(
@@ -174,7 +183,7 @@ class PlantConfig(Config):
         unit='rad/s',
         gt=0.0,
     )
-    torque_limit: Vector = parameter(
+    torque_limit: PositiveVector = parameter(
         (), "Largest joint torque; empty for the robot's own.", unit='N m'
     )
     contact_names: tuple[str, ...] = parameter(
@@ -186,7 +195,9 @@ class PlantConfig(Config):
     surfaces: dict[str, SurfaceConfig]
     sensor: SensorConfig = SensorConfig()
     push_start: Vector = parameter((), 'When each push begins.', unit='s')
-    push_duration: Vector = parameter((), 'How long each push lasts.', unit='s')
+    push_duration: NonNegativeVector = parameter(
+        (), 'How long each push lasts.', unit='s'
+    )
     push_force_world: Vector = parameter(
         (),
         'Forces of the pushes at the operational point, x y z of each in turn.',
@@ -198,15 +209,29 @@ class PlantConfig(Config):
     )
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
-        for field, known in (
-            ('contact_names', set(self.contacts.values())),
-            ('obstacle_names', set(self.surfaces)),
+        yield from self._name_errors()
+        yield from self._surface_errors()
+        joints = len(self.home)
+        for field in ('drive_stiffness', 'drive_damping', 'torque_limit'):
+            values = getattr(self, field)
+            needed = self.drives == 'flexible' and field != 'torque_limit'
+            if values or needed:
+                yield from _count_errors(field, values, joints)
+        pushes = len(self.push_start)
+        yield from _count_errors('push_duration', self.push_duration, pushes)
+        yield from _count_errors('push_force_world', self.push_force_world, 3 * pushes)
+        if self.contact == 'native':
+            yield from self._native_errors()
+
+    def _name_errors(self) -> Iterator[ConfigError]:
+        for field, names, known in (
+            ('contact_names', self.contact_names, self.contacts.values()),
+            ('obstacle_names', self.obstacle_names, self.surfaces),
         ):
-            for name in getattr(self, field):
+            for name in names:
                 if name not in known:
-                    yield ConfigError(
-                        field, f'names among {", ".join(sorted(known))}', f"'{name}'"
-                    )
+                    among = ', '.join(sorted(set(known)))
+                    yield ConfigError(field, f'names among {among}', f"'{name}'")
         for names in (self.met, self.contact_names):
             if len(set(names)) != len(names):
                 yield ConfigError(
@@ -214,117 +239,92 @@ class PlantConfig(Config):
                     'distinct names, obstacle_names included',
                     list(names),
                 )
+
+    def _surface_errors(self) -> Iterator[ConfigError]:
         for name, surface in self.surfaces.items():
-            yield from self._check_surface(f'surfaces.{name}', surface)
-        joints, flexible = len(self.home), self.drives == 'flexible'
-        pushes = len(self.push_start)
-        counts = {
-            'drive_stiffness': joints,
-            'drive_damping': joints,
-            'torque_limit': joints,
-            'push_duration': pushes,
-            'push_force_world': 3 * pushes,
-        }
-        for name, count in counts.items():
-            values = getattr(self, name)
-            optional = name == 'torque_limit' or (
-                name.startswith('drive') and not flexible
-            )
-            if len(values) != count and not (optional and not values):
-                yield ConfigError(name, format_count(count, 'values'), len(values))
-            least = min(values, default=1.0)
-            if name in ('drive_stiffness', 'torque_limit') and least <= 0.0:
-                yield ConfigError(name, 'values above 0', least)
-            elif not name.endswith('force_world') and least < 0.0:
-                yield ConfigError(name, 'no negative value', least)
-        if self.contact == 'native' and self.engine != 'mujoco':
+            flat = surface.shape == 'plane'
+            if flat != (surface.radius == 0.0):
+                yield ConfigError(
+                    f'surfaces.{name}.radius',
+                    '0 for a plane, and another number for what is curved',
+                    f'{surface.radius:g} of a {surface.shape}',
+                )
+            if self.contact == 'native' and not (flat and surface.velocity == 0.0):
+                yield ConfigError(
+                    f'surfaces.{name}',
+                    'a plane at rest with native contacts',
+                    f'a {surface.shape} of velocity {surface.velocity:g} m/s',
+                )
+
+    def _native_errors(self) -> Iterator[ConfigError]:
+        if self.engine != 'mujoco':
             yield ConfigError('contact', 'compliant with this engine', 'native')
-        if (
-            self.contact == 'native'
-            and self.drives == 'rigid'
-            and self.joint_friction_scale > 0.0
-        ):
+        if self.drives == 'rigid' and self.joint_friction_scale > 0.0:
             yield ConfigError(
                 'joint_friction_scale',
                 '0 with rigid drives and native contacts',
                 self.joint_friction_scale,
             )
 
-    def _check_surface(
-        self, field: str, surface: SurfaceConfig
-    ) -> Iterator[ConfigError]:
-        if (surface.shape == 'plane') != (surface.radius == 0.0):
-            yield ConfigError(
-                f'{field}.radius',
-                '0 for a plane, and another number for what is curved',
-                f'{surface.radius:g} of a {surface.shape}',
-            )
-        if self.contact == 'native' and (
-            surface.shape != 'plane' or surface.velocity != 0.0
-        ):
-            yield ConfigError(
-                field,
-                'a plane at rest with native contacts',
-                f'a {surface.shape} of velocity {surface.velocity:g} m/s',
-            )
-
     @property
     def contacts(self) -> dict[str, str]:
-        """Name of the contact that the tip of each surface is a part of."""
+        """Name of the contact that the tip of each surface is a part of, by surface."""
         return {
             name: surface.contact or name for name, surface in self.surfaces.items()
         }
 
+    def _surfaces_of(self, contact: str) -> list[str]:
+        """Return the names of the surfaces that a contact is made of."""
+        return [name for name, whose in self.contacts.items() if whose == contact]
+
     @property
     def touched(self) -> tuple[str, ...]:
         """Names of the surfaces that the contacts are made of, contact by contact."""
-        return tuple(
-            name
-            for contact in self.contact_names
-            for name, whose in self.contacts.items()
-            if whose == contact
-        )
+        names: list[str] = []
+        for contact in self.contact_names:
+            names += self._surfaces_of(contact)
+        return tuple(names)
 
     @property
     def met(self) -> tuple[str, ...]:
-        """Names of all surfaces that may be met, contacts first."""
+        """Names of all surfaces that may be met, contacts first: the order of their records."""
         return self.touched + self.obstacle_names
 
     @property
     def drawn(self) -> dict[str, str]:
         """Name of one surface for each contact and obstacle: the tips of a contact share it."""
-        drawn: dict[str, str] = {}
-        for name in self.met:
-            drawn.setdefault(
-                self.contacts[name] if name in self.touched else name, name
-            )
+        drawn = {}
+        for contact in self.contact_names:
+            drawn[contact] = self._surfaces_of(contact)[0]
+        for obstacle in self.obstacle_names:
+            drawn[obstacle] = obstacle
         return drawn
 
     @property
     def columns(self) -> dict[str, dict[str, float]]:
         """
-        Return the forces and couples of the contacts by name, and what makes them up.
+        Forces and couples of the contacts by name, and the normal forces that make them up.
 
         Each as the shares of the surfaces' normal forces in it: a couple is the sum of forces
         times offsets, as `ContactConfig` of the controller counts it.
         """
-        columns: dict[str, dict[str, float]] = {}
+        columns = {}
         for contact in self.contact_names:
-            tips = {
-                name: self.surfaces[name].offset
-                for name in self.touched
-                if self.contacts[name] == contact
-            }
+            tips = self._surfaces_of(contact)
             columns[contact] = dict.fromkeys(tips, 1.0)
             for kind, axis in ((ALONG, 0), (ACROSS, 1)):
-                if any(offset[axis] for offset in tips.values()):
-                    columns[contact + SUFFIXES[kind]] = {
-                        name: offset[axis] for name, offset in tips.items()
-                    }
+                offsets = {tip: self.surfaces[tip].offset[axis] for tip in tips}
+                if any(offsets.values()):
+                    columns[contact + SUFFIXES[kind]] = offsets
         return columns
 
     def stiffness_of(self, column: str) -> float:
-        """Return the stiffness of the surfaces along a force or couple of `columns` [N/m]."""
+        """
+        Return the stiffness of the surfaces along a force or couple of `columns` [N/m].
+
+        A tip moves by its share of the motion and makes its share of the force, so that shares
+        count squared.
+        """
         return sum(
             share * share * self.surfaces[name].stiffness
             for name, share in self.columns[column].items()
@@ -336,7 +336,11 @@ class PlantConfig(Config):
         return tuple(self.columns)
 
     def substeps(self, rate: float) -> int:
-        """Return the number of integration steps in a control period; ConfigError if not whole."""
+        """
+        Return the number of integration steps in a control period.
+
+        Of a control rate [Hz]; ConfigError if it is not whole.
+        """
         ratio = 1.0 / (rate * self.substep)
         count = round(ratio)
         if count < 1 or abs(ratio - count) > 1e-6 * count:

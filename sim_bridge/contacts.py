@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
@@ -33,38 +33,59 @@ class Hand(Record, Protocol):
 
     force: Annotated[Vector, 3]  # [N]
     local: Annotated[Vector, 3]  # the point in the last joint's frame [m]
-    point: Annotated[Vector, 3]  # where it is, of use while it pushes [m]
+    point: Annotated[
+        Vector, 3
+    ]  # the point in the world, kept up to date while it pushes [m]
 
 
 HAND = record_dtype(Hand)
 
 
-class Pushes:
+class ScheduledPush(NamedTuple):
+    """A force on the arm from one tick until before another."""
+
+    first_tick: int
+    end_tick: int
+    force_world: Vector  # shape (3,) [N]
+
+
+class PushSchedule:
     """Forces on one point of the arm over some control periods, summed in a record of `HAND`."""
 
     def __init__(self, hand: Hand) -> None:
         self.force_world: Vector = hand['force']
-        self._pushes: list[tuple[int, int, Vector]] = []
+        self._pushes: list[ScheduledPush] = []
 
-    def add(self, first: int, end: int, force_world: Sequence[float] | Vector) -> None:
-        """Push from a control period on until before another, with a force, shape (3,) [N]."""
-        self._pushes.append((first, end, np.array(force_world, dtype=float)))
+    def schedule_push(
+        self, first_tick: int, end_tick: int, force_world: Sequence[float] | Vector
+    ) -> None:
+        """Push from one tick until before another with a force, world axes, shape (3,) [N]."""
+        force = np.array(force_world, dtype=float)
+        self._pushes.append(ScheduledPush(first_tick, end_tick, force))
 
-    def start_period(self, tick: int) -> None:
-        """Take the forces of the control period that begins with a tick."""
-        if self._pushes:
-            self.force_world[:] = sum(
-                (force for first, end, force in self._pushes if first <= tick < end),
-                np.zeros(3),
-            )
-            self._pushes = [push for push in self._pushes if push[1] > tick]
+    def begin_period(self, tick: int) -> None:
+        """Set the force of the control period that begins with a tick: the sum of its pushes."""
+        if not self._pushes:
+            return
+        self.force_world[:] = 0.0
+        for push in self._pushes:
+            if push.first_tick <= tick < push.end_tick:
+                self.force_world += push.force_world
+        self._pushes = [push for push in self._pushes if push.end_tick > tick]
 
 
 class Contacts:
     """
     The bar tips, and other points of the arm, and the surfaces they may touch.
 
-    Each surface has its own generator of roughness.
+    Parameters
+    ----------
+    config
+        The plant's surfaces and contacts.
+    arm, model
+        The arm that carries the tips, and its rigid-body model.
+    generators
+        Random numbers of the roughness of each surface, in the order of `config.met`.
 
     Attributes
     ----------
@@ -91,78 +112,80 @@ class Contacts:
         self.surfaces, self.profiles = build_surfaces(met, generators)
         for record, surface in zip(self.surfaces, met):
             frame = model.frames[model.getFrameId(surface.tip_link)]
-            record['joint'] = record['body'] = frame.parentJoint - 1
+            record['joint'] = frame.parentJoint - 1
+            record['body'] = frame.parentJoint - 1
             record['tip'] = frame.placement.translation
             # The wrist sensor feels what touches the tool, not what touches a link.
             if surface.tip_link in (TOOL_LINK, *arm.tips):
                 record['body'] = model.nv
         self._native = config.contact == 'native'
         if self._native:
+            # The engine makes the forces: these surfaces only say where the tips are.
             for name in ('stiffness', 'damping', 'friction'):
-                self.surfaces[name] = 0.0  # only where the tips are is asked of them
+                self.surfaces[name] = 0.0
         self.pressed: Vector = self.surfaces['alpha']
         self.points_world: Matrix = self.surfaces['point']
         self.places_world: Matrix = self.surfaces['place']
-        self._columns = np.array(
-            [
-                [shares.get(name, 0.0) for name in config.met]
-                for shares in config.columns.values()
-            ]
-        ).reshape(len(config.columns), len(config.met))
+        self._shares = np.zeros((len(config.columns), len(met)))
+        for row, shares in zip(self._shares, config.columns.values()):
+            for name, share in shares.items():
+                row[config.met.index(name)] = share
         self._touched = len(config.touched)
 
     @property
     def alpha(self) -> Vector:
-        """Return the true forces and couples of the contacts, shape (r,) [N]."""
-        forces: Vector = self._columns @ self.pressed
+        """True forces and couples of the contacts, as `PlantConfig.columns`, shape (r,) [N]."""
+        forces: Vector = self._shares @ self.pressed
         return forces
 
     @property
     def obstacles(self) -> Vector:
-        """Return the normal forces on what is in the way and no contact, shape (k,) [N]."""
+        """Normal forces on the surfaces that are in the way and no contacts, shape (k,) [N]."""
         return self.pressed[self._touched :].copy()
 
-    def _changing(self, surface: int) -> Surface:
-        """Return a surface to change; ConfigError if it is the engine's own."""
+    def changeable_surface(self, number: int) -> Surface:
+        """Return the record of a surface, to be changed; ConfigError if it is the engine's own."""
         if self._native:
             raise ConfigError(
                 'contact', 'compliant, for surfaces that change', 'native'
             )
-        return self.surfaces[surface]
+        return self.surfaces[number]
 
-    def shift_surface(self, contact: int, distance: float) -> None:
+    def shift_surface(self, number: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
-        surface = self._changing(contact)
+        surface = self.changeable_surface(number)
         surface['place'] += distance * surface['normal']
 
-    def put_before_tip(self, surface: int, distance: float) -> None:
-        """Put a surface, or an obstacle after them, so far [m] before the tip as it is now."""
-        record = self._changing(surface)
-        record['place'] = record['point'] + distance * record['normal']
+    def put_before_tip(self, number: int, distance: float) -> None:
+        """Put a surface `distance` [m] before its tip, where the tip is now, as a wall."""
+        surface = self.changeable_surface(number)
+        surface['place'] = surface['point'] + distance * surface['normal']
 
-    def scale_stiffness(self, contact: int, factor: float) -> None:
-        """Make a surface stiffer by a factor, moved such that it presses as before."""
-        surface = self._changing(contact)
+    def scale_stiffness(self, number: int, factor: float) -> None:
+        """Multiply a surface's stiffness, and move it such that it presses as before."""
+        surface = self.changeable_surface(number)
         depth = surface['alpha'] / surface['stiffness']
         surface['stiffness'] *= factor
-        self.shift_surface(contact, depth * (1.0 - 1.0 / factor))
+        self.shift_surface(number, depth * (1.0 - 1.0 / factor))
 
-    def scale_friction(self, contact: int, factor: float) -> None:
-        """Multiply a surface's coefficient of friction."""
-        self._changing(contact)['friction'] *= factor
-
-    def set_friction(self, contact: int, friction: float) -> None:
-        """Give a surface another coefficient of friction."""
-        self._changing(contact)['friction'] = friction
+    def scale_friction(self, number: int, factor: float) -> None:
+        """Multiply a surface's coefficient of friction by a factor, from now on."""
+        self.changeable_surface(number)['friction'] *= factor
 
 
 @compiled
 def write_push(
     push: Vector, force: Vector, sign: float, point: Vector, body: int
 ) -> None:
-    """Fill a row of pushes: sign * force [N], its point [m], and the body it acts on."""
+    """
+    Fill a row of pushes, as `EngineArm.apply_pushes` takes them, shape (7,).
+
+    It has sign * force and the point where that acts, world axes, shape (3,) each [N], [m], and
+    the number of the body it acts on.
+    """
     for k in range(3):
-        push[k], push[3 + k] = sign * force[k], point[k]
+        push[k] = sign * force[k]
+        push[3 + k] = point[k]
     push[6] = body
 
 
@@ -180,9 +203,9 @@ def act_on_arm(
     step: float,
 ) -> int:
     """
-    Work out all that acts on the arm in one integration step [s], but for the engine's own work.
+    Work out all forces and torques on the arm in one integration step, before the engine's.
 
-    Records of links, drives and surfaces are changed.
+    Places the links, lets surfaces and hands act, and advances the rotors of the drives.
 
     Parameters
     ----------
@@ -201,7 +224,7 @@ def act_on_arm(
     hands
         Records of `HAND`, shape (2,): first the one at the wrist, then the one at the tool.
     pushes
-        Filled with the forces on the arm, as `EngineArm.push` takes them, shape (m, 7) [N, m].
+        Filled with the forces on the arm, as `EngineArm.apply_pushes` takes them, shape (m, 7).
     step
         Of the integration [s].
 
@@ -211,8 +234,12 @@ def act_on_arm(
         How many forces there are, or -1 for motor torques that are not finite.
 
     """
-    q, qd = motion[0], motion[1]
-    motor, load, both, link_side = torques[0], torques[1], torques[2], torques[3]
+    q = motion[0]
+    qd = motion[1]
+    motor = torques[0]
+    load = torques[1]
+    both = torques[2]
+    link_side = torques[3]
     last = q.shape[0] - 1
     for joint in range(last + 1):
         if not np.isfinite(motor[joint]):

@@ -19,32 +19,31 @@ import numpy as np
 from numpy.typing import ArrayLike
 import pinocchio as pin
 from sim_bridge.arm import Arm
-from sim_bridge.kinematics import mass_matrix
-
-
-class Friction(Record, Protocol):
-    """Friction of one joint, joint side."""
-
-    viscous: float  # [N m s/rad]
-    coulomb_positive: float  # for positive speed, >= 0 [N m]
-    coulomb_negative: float  # for negative speed, >= 0 [N m]
-    speed: float  # scale of the smoothed Coulomb friction [rad/s]
-
-
-FRICTION = record_dtype(Friction)
-
 
 HOLD_FREQUENCY = 20.0  # w [rad/s]
 NEWTON_STEPS = 50
 LARGEST_SWEEPS = 1000
 NEWTON_TOLERANCE = 1e-13
+FRICTION_TORQUES = ('viscous', 'coulomb_positive', 'coulomb_negative')
+
+
+class Friction(Record, Protocol):
+    """Friction of one joint, joint side: b v + F tanh(v / v_0), F by the sign of v."""
+
+    viscous: float  # b [N m s/rad]
+    coulomb_positive: float  # F for positive speed, >= 0 [N m]
+    coulomb_negative: float  # F for negative speed, >= 0 [N m]
+    speed: float  # v_0, scale of the smoothed Coulomb friction [rad/s]
+
+
+FRICTION = record_dtype(Friction)
 
 
 class Drive(Record, Protocol):
-    """One drive: its rotor, over the gear, and the spring to its link."""
+    """One drive: its rotor, seen through the gear, and the spring to its link."""
 
-    q: float  # [rad]
-    qd: float  # [rad/s]
+    q: float  # of the rotor, joint side [rad]
+    qd: float  # of the rotor, joint side [rad/s]
     inertia: float  # of the rotor, joint side [kg m^2]
     stiffness: float  # of the spring [N m/rad]
     damping: float  # of the spring [N m s/rad]
@@ -55,12 +54,16 @@ DRIVE = record_dtype(Drive)
 
 
 def joint_friction(arm: Arm, scale: float, speed: float) -> Records[Friction]:
-    """Return the friction of an arm times a scale, as records of `FRICTION`, shape (n,)."""
+    """
+    Return the friction of an arm's joints as records of `FRICTION`, shape (n,).
+
+    Torques are those of the arm times `scale`; `speed` is the scale of the smoothed Coulomb
+    friction [rad/s].
+    """
     joints = np.zeros(len(arm.links), dtype=FRICTION)
-    for joint, link in zip(joints, arm.links):
-        for name in ('viscous', 'coulomb_positive', 'coulomb_negative'):
-            joint[name] = scale * getattr(link, name)
-        joint['speed'] = speed
+    for name in FRICTION_TORQUES:
+        joints[name] = [scale * getattr(link, name) for link in arm.links]
+    joints['speed'] = speed
     return joints
 
 
@@ -70,10 +73,29 @@ def flexible_drives(
     damping: ArrayLike,
     friction: Records[Friction],
 ) -> Records[Drive]:
-    """Return rotors joined to the links by springs, records of `DRIVE`, shape (n,)."""
+    """
+    Return rotors joined to the links by springs, at rest at angle 0.
+
+    Parameters
+    ----------
+    inertia
+        Of the rotors, joint side, shape (n,) [kg m^2].
+    stiffness, damping
+        Of the springs, shape (n,) [N m/rad], [N m s/rad].
+    friction
+        Of the rotors, records of `FRICTION`, shape (n,).
+
+    Returns
+    -------
+    Records
+        Of `DRIVE`, shape (n,).
+
+    """
     drives = np.zeros(len(friction), dtype=DRIVE)
-    drives['inertia'], drives['friction'] = inertia, friction
-    drives['stiffness'], drives['damping'] = stiffness, damping
+    drives['inertia'] = inertia
+    drives['stiffness'] = stiffness
+    drives['damping'] = damping
+    drives['friction'] = friction
     return drives
 
 
@@ -87,12 +109,24 @@ def advance_drives(
     link_torque: Vector,
 ) -> None:
     """
-    Advance the rotors by one step and give what their springs do to the links.
+    Advance the rotors by one step and find out what their springs do to the links.
 
-    Of motor torques [N m], on the link side at angles [rad] and speeds [rad/s] at the start of the
-    step [s], shape (n,). Symplectic Euler, in step with the links: springs and dampers as at the
-    start of the step, friction as at its end (backward Euler). The springs' torques fill
-    `link_torque`, shape (n,) [N m].
+    Symplectic Euler, in step with the links: springs and dampers as at the start of the step,
+    friction as at its end (backward Euler).
+
+    Parameters
+    ----------
+    torque
+        Of the motors, joint side, shape (n,) [N m].
+    q, qd
+        Angles [rad] and speeds [rad/s] of the links at the start of the step, shape (n,).
+    drives
+        Records of `DRIVE`, shape (n,) or none; angle and speed of the rotors are advanced.
+    step
+        [s].
+    link_torque
+        Filled with the torques of the springs on the links, shape (n,) [N m].
+
     """
     for joint in range(drives.shape[0]):
         drive = drives[joint]
@@ -110,23 +144,31 @@ class RigidDrives:
     The torque that makes links without rotors move as links with rotors do.
 
     PyBullet has no armature Ja, nor does MuJoCo here. All forces are known, and so is the
-    acceleration with it (pinocchio's articulated-body algorithm): tau - Ja qdd makes the engine
-    find the same. With the model of the arm with its armature, records of `FRICTION`, shape (n,),
-    and the integration step [s].
+    acceleration qdd of the arm with its armature (pinocchio's articulated-body algorithm):
+    tau - Ja qdd makes the engine find the same.
+
+    Parameters
+    ----------
+    model
+        The arm with its armature; the plant changes its tool's mass.
+    friction
+        Records of `FRICTION`, shape (n,).
+    step
+        Integration step [s].
+
     """
 
     def __init__(
         self, model: pin.Model, friction: Records[Friction], step: float
     ) -> None:
-        self._model, self._data = model, model.createData()
+        self._model = model
+        self._data = model.createData()
         self._armature = np.array(model.armature)
-        self._friction, self._step = friction, step
-        self._frictionless = not any(
-            friction[name].any()
-            for name in ('viscous', 'coulomb_positive', 'coulomb_negative')
-        )
+        self._friction = friction
+        self._step = step
+        self._has_friction = any(friction[name].any() for name in FRICTION_TORQUES)
 
-    def advance(
+    def find_link_torque(
         self,
         torque: Vector,
         total: Vector,
@@ -137,20 +179,24 @@ class RigidDrives:
         """
         Fill `link_torque` with the torque on the links for one step, shape (n,) [N m].
 
-        Of motor torques, and of these together with what all but gravity does to the joints, shape
-        (n,) [N m], at the state at the start of the step, shape (n,) [rad], [rad/s].
+        Parameters
+        ----------
+        torque
+            Of the motors, shape (n,) [N m].
+        total
+            Motor torques and what all but gravity does to the joints, shape (n,) [N m].
+        q, qd
+            At the start of the step, shape (n,) [rad], [rad/s].
+        link_torque
+            Filled in.
+
         """
         acceleration = pin.aba(self._model, self._data, q, qd, total)
-        if not self._frictionless:
-            inertia = mass_matrix(self._model, self._data, q)
+        if self._has_friction:
+            inertia = pin.crba(self._model, self._data, q)
+            free_speed = qd + self._step * acceleration
             speed = qd.copy()
-            solve_joint_speeds(
-                qd + self._step * acceleration,
-                self._step,
-                inertia,
-                self._friction,
-                speed,
-            )
+            solve_joint_speeds(free_speed, self._step, inertia, self._friction, speed)
             slowed = (speed - qd) / self._step
             torque = torque - inertia @ (acceleration - slowed)
             acceleration = slowed
@@ -158,32 +204,50 @@ class RigidDrives:
 
 
 class PositionHold:
-    """A gravity-compensated, critically damped joint servo: M (w^2 (q_0 - q) - 2 w qd) + g."""
+    """
+    A gravity-compensated, critically damped joint servo: M (w^2 (q_0 - q) - 2 w qd) + g.
+
+    Drives without commands hold their position so, as those of a real robot do.
+
+    Parameters
+    ----------
+    model
+        The arm with tool and armature.
+
+    Attributes
+    ----------
+    posture
+        q_0, shape (n,) [rad]; None lets the next call take the angles it is given.
+
+    """
 
     def __init__(self, model: pin.Model) -> None:
-        self._model, self._data = model, model.createData()  # tool and rotors included
-        self.posture: Vector | None = (
-            None  # that is held [rad]; None takes the next one
-        )
+        self._model = model
+        self._data = model.createData()
+        self.posture: Vector | None = None
 
-    def torque(self, q: Vector, qd: Vector) -> Vector:
-        """Return the torque that holds the posture, shape (n,) [N m]."""
+    def holding_torque(self, q: Vector, qd: Vector) -> Vector:
+        """Return the torque at angles [rad] and speeds [rad/s], all of shape (n,) [N m]."""
         if self.posture is None:
             self.posture = q.copy()
         w = HOLD_FREQUENCY
         acceleration = w * w * (self.posture - q) - 2.0 * w * qd
-        still = np.zeros_like(q)
-        gravity = pin.rnea(self._model, self._data, q, still, still)
-        torque: Vector = (
-            mass_matrix(self._model, self._data, q) @ acceleration + gravity
-        )
+        gravity = pin.computeGeneralizedGravity(self._model, self._data, q)
+        inertia = pin.crba(self._model, self._data, q)
+        torque: Vector = inertia @ acceleration + gravity
         return torque
 
 
 @compiled
 def friction_torque(speed: float, joint: Friction) -> tuple[float, float]:
-    """Return f(v) = b v + F tanh(v / v_0) of a joint [N m] and df/dv [N m s/rad] at a speed."""
-    coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
+    """
+    Return the friction of a joint at a speed v [rad/s] and how it changes with it.
+
+    f(v) = b v + F tanh(v / v_0) [N m], and df/dv [N m s/rad].
+    """
+    coulomb = joint.coulomb_negative
+    if speed >= 0.0:
+        coulomb = joint.coulomb_positive
     tangent = np.tanh(speed / joint.speed)
     return (
         joint.viscous * speed + coulomb * tangent,
@@ -198,10 +262,28 @@ def solve_joint_speed(
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.
 
-    The solution [rad/s] lies between 0 and the speed without friction; Newton's method is kept
-    inside a bracket that only shrinks, since tanh is too sharp for it alone.
+    The solution lies between 0 and the speed without friction; Newton's method is kept inside a
+    bracket that only shrinks, since tanh is too sharp for it alone.
+
+    Parameters
+    ----------
+    free_speed
+        Speed at the end of the step without friction [rad/s].
+    step
+        [s].
+    inertia
+        Joint side [kg m^2].
+    joint
+        A record of `FRICTION`.
+
+    Returns
+    -------
+    float
+        v [rad/s].
+
     """
-    low, high = min(0.0, free_speed), max(0.0, free_speed)
+    low = min(0.0, free_speed)
+    high = max(0.0, free_speed)
     ratio = step / inertia
     speed = free_speed
     # Small speeds stick: start where tanh is straight if the whole of the friction stops it.
@@ -235,9 +317,21 @@ def solve_joint_speeds(
     Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
 
     The left side is the gradient of a convex function, so that one joint after the other
-    (Gauss-Seidel) converges to its only zero, which takes the place of the first guess `speed`
-    [rad/s]. M is the joint inertia with armature, shape (n, n) [kg m^2], `friction` records of
-    `FRICTION`.
+    (Gauss-Seidel) converges to its only zero.
+
+    Parameters
+    ----------
+    free_speed
+        Speeds at the end of the step without friction, shape (n,) [rad/s].
+    step
+        [s].
+    mass_matrix
+        M, joint inertia with armature, shape (n, n) [kg m^2].
+    friction
+        Records of `FRICTION`, shape (n,).
+    speed
+        First guess, replaced by the solution v, shape (n,) [rad/s].
+
     """
     n = free_speed.shape[0]
     for _ in range(LARGEST_SWEEPS):

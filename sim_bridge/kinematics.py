@@ -6,17 +6,17 @@ from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import (
-    Record,
-    record_dtype,
-    Records,
-)
+from multicontact_control.records import Record, record_dtype, Records
 import numpy as np
 import pinocchio as pin
 
 
 class Link(Record, Protocol):
-    """One revolute joint of a chain, and its link."""
+    """
+    One revolute joint of a chain, and its link.
+
+    Rotation and offset are of the arm; `forward_kinematics` fills in the rest.
+    """
 
     rotation: Annotated[Matrix, 3, 3]  # axes of the joint frame in the link before it
     offset: Annotated[Vector, 3]  # its origin there [m]
@@ -29,7 +29,11 @@ LINK = record_dtype(Link)
 
 
 def link_records(model: pin.Model) -> Records[Link]:
-    """Return the links of an arm as records of `LINK`, shape (n,)."""
+    """
+    Return the links of an arm as records of `LINK`, shape (n,), not yet placed in the world.
+
+    Of pinocchio's model, each of whose joints turns about its z axis.
+    """
     links = np.zeros(model.nv, dtype=LINK)
     placements = list(model.jointPlacements)[1:]
     links['rotation'] = [placement.rotation for placement in placements]
@@ -37,40 +41,43 @@ def link_records(model: pin.Model) -> Records[Link]:
     return links
 
 
-def mass_matrix(model: pin.Model, data: pin.Data, q: Vector) -> Matrix:
-    """Return the joint inertia at angles `q`, armature included, shape (n, n) [kg m^2]."""
-    upper = np.triu(pin.crba(model, data, q))  # crba fills the upper triangle only
-    return np.asarray(upper + np.triu(upper, 1).T)
-
-
 @compiled
 def forward_kinematics(q: Vector, links: Records[Link]) -> None:
     """
-    Place a chain of revolute joints, each about the z axis of its own frame, at angles [rad].
+    Place a chain of revolute joints in the world, each turned about the z axis of its own frame.
 
-    Of the records of `LINK`, shape (n,), axis, axes and origin are filled in.
+    Parameters
+    ----------
+    q
+        Joint angles, shape (n,) [rad].
+    links
+        Records of `LINK`, shape (n,); axis, axes and origin are filled in.
+
     """
     for joint in range(q.shape[0]):
         link = links[joint]
-        cosine, sine = np.cos(q[joint]), np.sin(q[joint])
+        cosine = np.cos(q[joint])
+        sine = np.sin(q[joint])
         for row in range(3):
             if joint == 0:
                 place = link.offset[row]
-                x, y, z = (
-                    link.rotation[row, 0],
-                    link.rotation[row, 1],
-                    link.rotation[row, 2],
-                )
+                x = link.rotation[row, 0]
+                y = link.rotation[row, 1]
+                z = link.rotation[row, 2]
             else:
                 before = links[joint - 1]
-                place, x, y, z = before.origin[row], 0.0, 0.0, 0.0
+                place = before.origin[row]
+                x = 0.0
+                y = 0.0
+                z = 0.0
                 for inner in range(3):
                     share = before.axes[row, inner]
                     place += share * link.offset[inner]
                     x += share * link.rotation[inner, 0]
                     y += share * link.rotation[inner, 1]
                     z += share * link.rotation[inner, 2]
-            link.origin[row], link.axis[row] = place, z
+            link.origin[row] = place
+            link.axis[row] = z
             link.axes[row, 0] = cosine * x + sine * y
             link.axes[row, 1] = cosine * y - sine * x
             link.axes[row, 2] = z
@@ -78,7 +85,11 @@ def forward_kinematics(q: Vector, links: Records[Link]) -> None:
 
 @compiled
 def locate_point(local: Vector, link: Link, point: Vector) -> None:
-    """Fill `point` with a point of a link given in its frame, world axes, shape (3,) [m]."""
+    """
+    Fill `point` with a point of a link, world axes, shape (3,) [m].
+
+    `local` is the point in the link's own frame, shape (3,) [m].
+    """
     for row in range(3):
         point[row] = link.origin[row]
         for column in range(3):
@@ -94,9 +105,23 @@ def point_velocity(
     velocity: Vector,
 ) -> None:
     """
-    Fill `velocity` with that of a point of link `last`, world axes, shape (3,) [m/s].
+    Fill `velocity` with that of a point of the arm, world axes, shape (3,) [m/s].
 
-    v = sum of qd_i z_i x (p - o_i) for i <= last.
+    v = sum of qd_i z_i x (p - o_i) over the joints i <= last.
+
+    Parameters
+    ----------
+    point
+        p, world axes, shape (3,) [m].
+    qd
+        Joint speeds, shape (n,) [rad/s].
+    links
+        Records of `LINK` that `forward_kinematics` has placed, shape (n,).
+    last
+        Number of the joint that carries the point.
+    velocity
+        Filled in.
+
     """
     velocity[:] = 0.0
     for joint in range(last + 1):
@@ -119,9 +144,25 @@ def add_joint_torque(
     torque: Vector,
 ) -> None:
     """
-    Add J^T (sign * force) of a force at a point of link `last`, world axes, to `torque`.
+    Add J^T (sign * force), what a force at a point of the arm does to the joints.
 
-    tau_i = z_i . ((p - o_i) x f) for i <= last, shape (n,) [N m].
+    tau_i = z_i . ((p - o_i) x f) for the joints i <= last.
+
+    Parameters
+    ----------
+    point
+        p, world axes, shape (3,) [m].
+    force
+        World axes, shape (3,) [N].
+    sign
+        1 for a force on the arm, -1 for one that the arm exerts.
+    links
+        Records of `LINK` that `forward_kinematics` has placed, shape (n,).
+    last
+        Number of the joint that carries the point.
+    torque
+        Added to, shape (n,) [N m].
+
     """
     for joint in range(last + 1):
         axis, origin = links[joint].axis, links[joint].origin

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import partial
 from typing import NamedTuple
 
@@ -14,10 +15,11 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import act_on_arm, Contacts, HAND, Hand, Pushes
+from sim_bridge.contacts import act_on_arm, Contacts, HAND, Hand, PushSchedule
 from sim_bridge.drives import DRIVE, Drive, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import link_records
+from sim_bridge.posture import frame_pose
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
 
@@ -39,7 +41,18 @@ class Sample(NamedTuple):
 
 class Plant:
     """
-    A simulated arm that touches surfaces, at a control rate [Hz], with a seed of its noise.
+    A simulated arm that touches surfaces, in the place of a real one.
+
+    Torques go in, samples come out: the control loop and the ROS node both drive it so.
+
+    Parameters
+    ----------
+    config
+        Arm, drives, sensor and surfaces.
+    rate
+        Samples per second [Hz].
+    seed
+        Of roughness and sensor noise.
 
     Attributes
     ----------
@@ -54,7 +67,8 @@ class Plant:
     model
         Its rigid-body model, with armature and what is carried of the payload.
     payload
-        What the tool is to carry besides, at its centre of mass [kg]; set it to pick up, lay down.
+        Mass that the tool is to carry besides, at its centre of mass [kg]; set it to pick up and
+        to lay down.
 
     Raises
     ------
@@ -74,26 +88,29 @@ class Plant:
         self.model = self.description.model()
         _require_fit(config, self.model)
         self._home = np.array(config.home)
-        still = np.zeros(self.model.nv)
-        self.initial_torque: Vector = pin.rnea(
-            self.model, self.model.createData(), self._home, still, still
+        self.initial_torque: Vector = pin.computeGeneralizedGravity(
+            self.model, self.model.createData(), self._home
         ).copy()
         self.model.armature = np.array(self.description.armature)
-        self._bare = pin.Inertia(self.model.inertias[self.model.nv])
+        self._last_link = pin.Inertia(self.model.inertias[self.model.nv])
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine_arm(config, self.description)
         self._hands: Records[Hand] = np.zeros(2, dtype=HAND)
-        frame = self.model.frames[self.model.getFrameId(OPERATIONAL_FRAME)]
-        self._hands['local'][0] = frame.placement.translation
-        pushed = self.model.frames[
-            self.model.getFrameId(config.tool_push_link)
-        ].placement
-        self._hands['local'][1] = pushed.translation
+        for hand, link in zip(self._hands, (OPERATIONAL_FRAME, config.tool_push_link)):
+            frame = self.model.frames[self.model.getFrameId(link)]
+            hand['local'] = frame.placement.translation
         self._torques = np.zeros((4, len(self._home)))
         self._motor, _, self._sum, self._link_side = self._torques
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
         self._drives: Records[Drive] = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
+        self._q, self._qd = self.arm.motion
+        self._make_drives()
+        self.reset()
+
+    def _make_drives(self) -> None:
+        """Make rotors behind springs, or rotors that turn with the links."""
+        config = self.config
         friction = joint_friction(
             self.description, config.joint_friction_scale, config.joint_friction_speed
         )
@@ -104,12 +121,13 @@ class Plant:
                 config.drive_damping,
                 friction,
             )
-        elif config.contact == 'compliant':  # otherwise the engine has the rotors
+            if config.joint_sensing == 'motor':
+                self._q = self._drives['q']
+                self._qd = self._drives['qd']
+        elif (
+            config.contact == 'compliant'
+        ):  # with native contacts the engine has the rotors
             self._rigid = RigidDrives(self.model, friction, config.substep)
-        self._q, self._qd = self.arm.motion
-        if config.drives == 'flexible' and config.joint_sensing == 'motor':
-            self._q, self._qd = self._drives['q'], self._drives['qd']
-        self.reset()
 
     def reset(self) -> Sample:
         """
@@ -118,129 +136,146 @@ class Plant:
         The same seed and torques give the same samples again, bit for bit.
         """
         config = self.config
-        sources = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
-        generators = [np.random.default_rng(source) for source in sources]
-        self._sensor = WrenchSensor(config.sensor, config.substep, generators[0])
-        self.contacts = Contacts(config, self.description, self.model, generators[1:])
+        seeds = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
+        sensor_noise, *roughness = [np.random.default_rng(seed) for seed in seeds]
+        self._sensor = WrenchSensor(config.sensor, config.substep, sensor_noise)
+        self.contacts = Contacts(config, self.description, self.model, roughness)
         self._hands['force'] = 0.0
-        self._wrist_push, self._tool_push = (Pushes(hand) for hand in self._hands)
-        for i, (begin, length) in enumerate(
-            zip(config.push_start, config.push_duration)
+        self._wrist_pushes, self._tool_pushes = map(PushSchedule, self._hands)
+        forces = np.reshape(config.push_force_world, (-1, 3))
+        for begin, length, force in zip(
+            config.push_start, config.push_duration, forces
         ):
-            self._wrist_push.add(
-                round(begin * self._rate),
-                round((begin + length) * self._rate),
-                config.push_force_world[3 * i : 3 * i + 3],
-            )
-        contacts = self.contacts
-        acting = (
+            first = round(begin * self._rate)
+            end = round((begin + length) * self._rate)
+            self._wrist_pushes.schedule_push(first, end, force)
+        self._act_on_arm = partial(
+            act_on_arm,
             self.arm.motion,
             self._torques,
             self._limit,
             link_records(self.model),
             self._drives,
-            contacts.surfaces,
-            contacts.profiles,
+            self.contacts.surfaces,
+            self.contacts.profiles,
             self._hands,
             self._pushes,
             config.substep,
         )
-        self._act = partial(act_on_arm, *acting)
         self._tick = 0
         self.arm.reset(self._home)
         self.payload = 0.0
-        self._carry(0.0)
+        self._carry_payload(0.0)
         if len(self._drives):  # springs wound up
-            self._drives['q'] = (
-                self._home + self.initial_torque / self._drives['stiffness']
-            )
+            wound = self.initial_torque / self._drives['stiffness']
+            self._drives['q'] = self._home + wound
             self._drives['qd'] = 0.0
-        self._sensor.read(self._static_wrench()[np.newaxis])
+        self._sensor.read_wrenches(self._static_wrench()[np.newaxis])
         self._motor[:] = self.initial_torque
-        return self._sample()
+        return self._take_sample()
 
     def step(self, torque: Vector) -> Sample:
         """
-        Apply torques for one control period, shape (n,) [N m]; return the sample at its end.
+        Apply torques for one control period and return the sample at its end.
 
-        They are clipped to the limits. Raises RunError if a torque is not finite, ShapeError if
-        there is not one per joint.
+        Parameters
+        ----------
+        torque
+            Of the motors, shape (n,) [N m]; they are clipped to the limits.
+
+        Raises
+        ------
+        ShapeError
+            If there is not one torque per joint.
+        RunError
+            If a torque is not finite.
+
         """
         require_shape('torque', torque, self._limit.shape)
         self._motor[:] = torque
         if self._carried != self.payload:
             most = PICK_UP_RATE / self._rate
-            self._carry(
-                min(max(self.payload, self._carried - most), self._carried + most)
-            )
-        self._wrist_push.start_period(self._tick)
-        self._tool_push.start_period(self._tick)
-        self._sensor.read(np.array(self._advance()).reshape(-1, 6))
+            bounded = max(self.payload, self._carried - most)
+            self._carry_payload(min(bounded, self._carried + most))
+        self._wrist_pushes.begin_period(self._tick)
+        self._tool_pushes.begin_period(self._tick)
+        self._sensor.read_wrenches(np.array(self._integrate_period()).reshape(-1, 6))
         self._tick += 1
-        return self._sample()
+        return self._take_sample()
 
-    def _carry(self, payload: float) -> None:
+    def _carry_payload(self, payload: float) -> None:
         """Let the tool weigh so much more than its own mass [kg]."""
-        self._carried, tool = payload, self.description.tool
+        self._carried = payload
+        tool = self.description.tool
         self.arm.set_tool_mass(tool.mass + payload)
         frame = self.model.frames[self.model.getFrameId(TOOL_LINK)]
-        load = pin.Inertia(
-            payload, frame.placement.act(np.array(tool.com.position)), np.zeros((3, 3))
-        )
-        self.model.inertias[frame.parentJoint] = (
-            self._bare + load if payload else self._bare
-        )
+        inertia = self._last_link
+        if payload:
+            com = frame.placement.act(np.array(tool.com.position))
+            inertia = inertia + pin.Inertia(payload, com, np.zeros((3, 3)))
+        self.model.inertias[frame.parentJoint] = inertia
 
     def scale_torque_limit(self, factor: float) -> None:
-        """Multiply the torque limits of the drives, unknown to the controller."""
+        """Multiply the torque limits of the drives by a factor, unknown to the controller."""
         self._limit *= factor
 
     def push(self, force_world: Vector, duration: float, *, tool: bool = False) -> None:
         """
-        Push the arm with a force, shape (3,) [N], from the next control period on, for a time [s].
+        Push the arm with a constant force, as a hand does, from the next control period on.
 
-        At the operational point, or at `tool_push_link`, beyond the wrist sensor, which reads it.
+        Parameters
+        ----------
+        force_world
+            World axes, shape (3,) [N].
+        duration
+            [s].
+        tool
+            Whether to push at `tool_push_link`, beyond the wrist sensor, which reads it; else at
+            the operational point, before the sensor.
+
         """
-        pushes = self._tool_push if tool else self._wrist_push
-        pushes.add(
-            self._tick, self._tick + max(1, round(duration * self._rate)), force_world
-        )
+        pushes = self._wrist_pushes
+        if tool:
+            pushes = self._tool_pushes
+        end = self._tick + max(1, round(duration * self._rate))
+        pushes.schedule_push(self._tick, end, force_world)
 
     def close(self) -> None:
-        """Give the simulator's memory back."""
+        """Free what the engine holds outside Python's memory."""
         self.arm.close()
 
-    def _advance(self) -> list[float]:
+    def _integrate_period(self) -> list[float]:
         """Take the integration steps of a period; return the true wrenches, one after another."""
-        act, arm, rigid, link_side = self._act, self.arm, self._rigid, self._link_side
+        arm = self.arm
         wrenches: list[float] = []
         for _ in range(self._substeps):
-            count = act()
-            if count < 0:
+            push_count = self._act_on_arm()
+            if push_count < 0:
                 raise RunError(
                     f'joint torque at tick {self._tick}: expected finite numbers, '
                     f'got {self._motor.tolist()}'
                 )
-            if rigid is not None:
-                rigid.advance(self._motor, self._sum, arm.q, arm.qd, link_side)
-            if count:
-                arm.apply_pushes(self._pushes.tolist()[:count])
-            wrenches += arm.step(link_side)
+            if self._rigid is not None:
+                self._rigid.find_link_torque(
+                    self._motor, self._sum, arm.q, arm.qd, self._link_side
+                )
+            if push_count:
+                arm.apply_pushes(self._pushes.tolist()[:push_count])
+            wrenches += arm.step(self._link_side)
             if arm.native_forces is not None:
                 self.contacts.pressed[:] = arm.native_forces
         return wrenches
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
-        model, data, arm = self.model, self.model.createData(), self.description
-        pin.framesForwardKinematics(model, data, self._home)
-        rotation = data.oMf[model.getFrameId(SENSOR_FRAME)].rotation
+        rotation = frame_pose(self.model, self._home, SENSOR_FRAME).rotation
+        arm = self.description
         carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
         return predict_weight_reading(
             rotation, carried, np.array(self.config.gravity_world)
         )
 
-    def _sample(self) -> Sample:
+    def _take_sample(self) -> Sample:
         return Sample(
             self._q.copy(),
             self._qd.copy(),
@@ -252,7 +287,11 @@ class Plant:
 
 
 def make_engine_arm(config: PlantConfig, arm: Arm) -> EngineArm:
-    """Return the engine of a plant, loaded here alone; ConfigError if it is not installed."""
+    """
+    Return the arm of a plant in its engine, whose library is imported here alone.
+
+    ConfigError if that is not installed.
+    """
     if config.engine == 'pybullet':
         from sim_bridge.bullet_arm import BulletArm
 
@@ -267,6 +306,7 @@ def make_engine_arm(config: PlantConfig, arm: Arm) -> EngineArm:
 
 
 def _require_fit(config: PlantConfig, model: pin.Model) -> None:
+    """Require one home angle per joint, tips on moving links, and a push on the last of these."""
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
     carriers = {
@@ -274,14 +314,14 @@ def _require_fit(config: PlantConfig, model: pin.Model) -> None:
         for frame in model.frames
         if frame.type == pin.FrameType.BODY and frame.parentJoint > 0
     }
-    tool = [name for name, joint in carriers.items() if joint == carriers[SENSOR_FRAME]]
-    links = {
-        f'surfaces.{name}.tip_link': (config.surfaces[name].tip_link, carriers)
-        for name in config.met
-    }
-    for field, (link, known) in {
-        **links,
-        'tool_push_link': (config.tool_push_link, tool),
-    }.items():
-        if link not in known:
-            raise ConfigError(field, f'one of {", ".join(sorted(known))}', f"'{link}'")
+    for name in config.met:
+        field = f'surfaces.{name}.tip_link'
+        _require_link(field, config.surfaces[name].tip_link, carriers)
+    last = carriers[SENSOR_FRAME]
+    pushable = [name for name, joint in carriers.items() if joint == last]
+    _require_link('tool_push_link', config.tool_push_link, pushable)
+
+
+def _require_link(field: str, link: str, known: Collection[str]) -> None:
+    if link not in known:
+        raise ConfigError(field, f'one of {", ".join(sorted(known))}', f"'{link}'")

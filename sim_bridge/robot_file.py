@@ -1,4 +1,4 @@
-"""What a file of config/robots says of an arm."""
+"""The entries of a file of config/robots: an arm, its tool, and how they are simulated."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ from typing import Any
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
 from multicontact_control.errors import ConfigError, format_count
 from sim_bridge.arm import Body, Placement
+
+# Entries with a value for each joint.
+JOINT_VECTORS = (
+    'home',
+    'armature',
+    'viscous',
+    'coulomb',
+    'coulomb_negative',
+    'torque_limit',
+    'speed_limit',
+)
 
 
 class RobotToolConfig(Config):
@@ -154,35 +165,24 @@ class RobotFile(Config):
     default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
-        for name in () if self.controller_file else ('home', 'contacts'):
-            if not getattr(self, name):
-                yield ConfigError(name, 'a value, without a controller_file', 'nothing')
-        joints = len(self.joint_names)
-        counts = dict.fromkeys(
-            (
-                'home',
-                'armature',
-                'viscous',
-                'coulomb',
-                'coulomb_negative',
-                'torque_limit',
-                'speed_limit',
-            ),
-            joints,
-        )
-        for name, count in {
-            **counts,
-            'locked_positions': len(self.locked_joints),
-        }.items():
-            if len(getattr(self, name)) not in (0, count):
-                yield ConfigError(
-                    name,
-                    f'{format_count(count, "values")}, one per joint',
-                    len(getattr(self, name)),
-                )
-        if self.tool is not None and self.tip_links:
-            yield ConfigError('tip_links', hint='leave it out with `tool`')
-        tips = tuple(self.tip_links if self.tool is None else self.tool.tips)
+        if not self.controller_file:
+            for name in ('home', 'contacts'):
+                if not getattr(self, name):
+                    yield ConfigError(
+                        name, 'a value, without a controller_file', 'nothing'
+                    )
+        counts = dict.fromkeys(JOINT_VECTORS, len(self.joint_names))
+        counts['locked_positions'] = len(self.locked_joints)
+        for name, count in counts.items():
+            given = len(getattr(self, name))
+            if given not in (0, count):
+                expected = f'{format_count(count, "values")}, one per joint'
+                yield ConfigError(name, expected, given)
+        tips = tuple(self.tip_links)
+        if self.tool is not None:
+            tips = tuple(self.tool.tips)
+            if self.tip_links:
+                yield ConfigError('tip_links', hint='leave it out with `tool`')
         for name, contact in self.contacts.items():
             if contact.tip not in tips:
                 yield ConfigError(
@@ -201,10 +201,7 @@ class RobotFile(Config):
 
     @property
     def locked(self) -> dict[str, float]:
-        """Return the positions of the locked joints by name [rad or m]."""
-        return dict(
-            zip(
-                self.locked_joints,
-                self.locked_positions or (0.0,) * len(self.locked_joints),
-            )
-        )
+        """Positions of the locked joints by name, 0 where the file has none [rad or m]."""
+        locked = dict.fromkeys(self.locked_joints, 0.0)
+        locked.update(zip(self.locked_joints, self.locked_positions))
+        return locked

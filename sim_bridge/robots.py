@@ -10,12 +10,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 import hashlib
-from importlib.util import find_spec
+from importlib import metadata
 import os
 from pathlib import Path
-import sys
 import tempfile
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import find_cache_folder
@@ -32,30 +31,52 @@ from sim_bridge.urdf_arm import read_robot_arm
 FOLDER = 'robots'
 DEFAULT = 'puma'
 SCHEME = 'package://'
-# Python wheels with URDFs, by package.
+
+
+class UrdfWheel(NamedTuple):
+    """A Python wheel that brings URDFs."""
+
+    distribution: str  # as pip calls it
+    folder: str  # of the URDFs, where the wheel is installed
+
+
+# By the name of the package in URDFs' addresses.
 WHEELS = {
-    'example-robot-data': 'example-robot-data',
-    'franky_sim': 'franky-sim',
-    'pybullet_data': 'pybullet',
+    'example-robot-data': UrdfWheel(
+        'example-robot-data', 'cmeel.prefix/share/example-robot-data/robots'
+    ),
+    'franky_sim': UrdfWheel('franky-sim', 'franky_sim'),
+    'pybullet_data': UrdfWheel('pybullet', 'pybullet_data'),
 }
-SHARED = Path('share') / 'example-robot-data' / 'robots'
-# Of the controller's file, what belongs to another arm.
-OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'friction')
+# Parts of the controller's file that belong to another arm.
+PARTS_OF_ITS_ARM = (
+    'robot',
+    'tool',
+    'contacts',
+    'contact_names',
+    'torque_limit',
+    'friction',
+)
 # Where the tips of edges and faces are on them, in half lengths and half widths.
-EDGE = ((-1.0, 0.0), (1.0, 0.0))
-FACE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-RANGE_OF_CONTINUOUS = 1e3  # rad, which no run gets to
+EDGE_OFFSETS = ((-1.0, 0.0), (1.0, 0.0))
+FACE_OFFSETS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+ENDLESS_RANGE = 1e3  # rad, which no run gets to
+MODEL_STIFFNESS = 6000.0  # N/m, of a contact that says none
 WIDE_FRICTION = 3.0  # N, that the controller allows for at an edge or face
 TORQUE_RATE_SHARE = 0.4  # of the torque limit in one period
-WORKSPACE = (
-    (-0.6, -0.45, -0.4),
-    (0.6, 0.4, 0.6),
-)  # m, around the operational point at home
+# Box around the operational point at home, of a robot whose file has none [m].
+WORKSPACE_LOWER = (-0.6, -0.45, -0.4)
+WORKSPACE_UPPER = (0.6, 0.4, 0.6)
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot of config/robots, or of a file."""
+    """
+    A robot of config/robots, or of a file: its arm, and the parameters that follow from it.
+
+    Parameters of plants and controller are nested dictionaries, as the files in ``config/`` have
+    them, which scenarios and a user's own files are then laid over.
+    """
 
     name: str  # or path of the file
     file: RobotFile
@@ -63,143 +84,180 @@ class Robot:
 
     @cached_property
     def arm(self) -> Arm:
-        """Return the arm with its tool."""
+        """The arm with its tool; ConfigError if the URDF does not fit or a limit is unknown."""
         file = self.file
-        arm = read_robot_arm(urdf_path(file.urdf, self.folder), file)
-        none = (0.0,) * len(arm.links)
-        given = zip(
-            arm.links,
-            file.armature or none,
-            file.viscous or none,
-            file.coulomb or none,
-            file.coulomb_negative or file.coulomb or none,
-            file.torque_limit or arm.torque_limit,
-            file.speed_limit or [link.speed_limit for link in arm.links],
-        )
-        links = tuple(
-            replace(
-                link,
-                armature=armature,
-                viscous=viscous,
-                coulomb_positive=positive,
-                coulomb_negative=negative,
-                torque_limit=torque,
-                speed_limit=speed,
-            )
-            for link, armature, viscous, positive, negative, torque, speed in given
-        )
-        for name in ('torque_limit', 'speed_limit'):
-            if lacking := [link.joint for link in links if getattr(link, name) <= 0.0]:
+        arm = read_robot_arm(find_urdf(file.urdf, self.folder), file)
+        links = list(arm.links)
+        for field, values in (
+            ('armature', file.armature),
+            ('viscous', file.viscous),
+            ('coulomb_positive', file.coulomb),
+            ('coulomb_negative', file.coulomb_negative or file.coulomb),
+            ('torque_limit', file.torque_limit),
+            ('speed_limit', file.speed_limit),
+        ):
+            for number, value in enumerate(values):
+                given: dict[str, Any] = {field: value}
+                links[number] = replace(links[number], **given)
+        for field in ('torque_limit', 'speed_limit'):
+            lacking = [link.joint for link in links if getattr(link, field) <= 0.0]
+            if lacking:
                 raise ConfigError(
-                    name,
-                    'a value above 0, since the URDF has none, for '
-                    f'{", ".join(lacking)}',
+                    field,
+                    f'a value above 0, since the URDF has none, for {", ".join(lacking)}',
                     'nothing',
                     self.name,
                 )
-        return replace(arm, links=links)
+        return replace(arm, links=tuple(links))
 
-    def elbow(self) -> tuple[str, Vector]:
+    def find_elbow(self) -> tuple[str, Vector]:
         """
-        Return the link of an obstacle before the wrist sensor, and the normal into its surface.
+        Return where an obstacle meets the arm before the wrist sensor.
 
-        The elbow of most arms, link (n + 1) // 2, and of the two horizontal axes that along which
-        a force there takes the largest share of a joint's torque limit, shape (3,); the obstacle
-        is on the side of the base on which the elbow is.
+        It meets the elbow of most arms, link (n + 1) // 2. Of the two horizontal axes it is along
+        that on which a force takes the largest share of a joint's torque limit, on the side of
+        the base on which the elbow is.
+
+        Returns
+        -------
+        link
+            Name of the link.
+        normal
+            Unit normal into the obstacle's surface, world axes, shape (3,).
+
         """
         link = f'link{(len(self.arm.links) + 1) // 2}'
-        model, home = self.arm.model(), np.array(self.plant_values('')['home'])
-        torques = frame_jacobian(model, home, link)[:3] / self.arm.torque_limit
-        axis = int(np.argmax(np.abs(torques[:2]).max(axis=1)))
+        model = self.arm.model()
+        home = np.array(self.plant_values('')['home'])
+        shares = frame_jacobian(model, home, link)[:3] / self.arm.torque_limit
+        axis = int(np.argmax(np.abs(shares[:2]).max(axis=1)))
         normal = np.zeros(3)
-        normal[axis] = np.sign(frame_pose(model, home, link).translation[axis]) or 1.0
+        normal[axis] = 1.0
+        if frame_pose(model, home, link).translation[axis] < 0.0:
+            normal[axis] = -1.0
         return link, normal
 
     def plant_name(self, name: str) -> str:
-        """Return the name of a plant, the default one for none, aliases resolved, '' if none."""
+        """Return a plant's own name: of an alias, or of the default one for ''; '' if unknown."""
         name = self.file.plant_aliases.get(name, name) or self.file.default_plant
-        return name if name in self.file.plants else ''
+        if name in self.file.plants:
+            return name
+        return ''
 
     def plant_values(self, name: str, contacts: Collection[str] = ()) -> dict[str, Any]:
-        """Return the parameters of a plant, with some of `wide_contacts`."""
+        """
+        Return the parameters of a plant.
+
+        Parameters
+        ----------
+        name
+            Of the plant, or an alias; '' for the default one.
+        contacts
+            Names of a scenario's contacts, among which those in `wide_contacts` get surfaces.
+
+        """
         variant = self.file.plants[self.plant_name(name)]
-        base = self._parameters(variant.file) if variant.file else self._derived_plant()
-        values = merge(base, {**variant.plant, 'robot': self.name})
+        if variant.file:
+            values = self._read_parameters(variant.file)
+        else:
+            values = self._derive_plant()
+        values = merge(values, {**variant.plant, 'robot': self.name})
         for wide in contacts:
             if wide in self.file.wide_contacts:
-                values = merge(values, {'surfaces': self._wide_surfaces(wide, values)})
+                surfaces = self._derive_wide_surfaces(wide, values['surfaces'])
+                values = merge(values, {'surfaces': surfaces})
         return values
 
     def controller_base(self, contacts: Collection[str] = ()) -> dict[str, Any]:
-        """Return the controller's parameters, whatever the plant, with some `wide_contacts`."""
+        """
+        Return the controller's parameters, whatever the plant.
+
+        `contacts` are names of a scenario's contacts, among which those in `wide_contacts` get
+        parameters of their own.
+        """
         file = self.file
-        base = (
-            self._parameters(file.controller_file)
-            if file.controller_file
-            else (self._derived_controller())
-        )
-        values = merge(base, file.controller)
+        if file.controller_file:
+            values = self._read_parameters(file.controller_file)
+        else:
+            values = self._derive_controller()
+        values = merge(values, file.controller)
         for wide in contacts:
             if wide in file.wide_contacts:
-                values = merge(
-                    values, {'contacts': {wide: self._wide_contact(wide, values)}}
-                )
+                contact = self._derive_wide_contact(wide, values['contacts'])
+                values = merge(values, {'contacts': {wide: contact}})
         return values
 
-    def _wide_surfaces(self, name: str, plant: Mapping[str, Any]) -> dict[str, Any]:
+    def controller_special(self, plant: str) -> dict[str, Any]:
+        """Return what the controller knows of a plant, to be laid over a preset."""
+        variant = self.file.plants[self.plant_name(plant)]
+        if not variant.controller_file:
+            return merge({}, variant.controller)
+        values = self._read_parameters(variant.controller_file)
+        return merge(values, variant.controller)
+
+    def urdf_dir(self) -> Path:
+        """Return the folder that the controller's `robot.urdf` is relative to."""
+        if self.file.controller_file:
+            return self._find_file(self.file.controller_file).parent
+        return _write_urdf(self.arm).parent
+
+    def _find_file(self, name: str) -> Path:
+        """Return a file that the robot's names: beside it, or in config/."""
+        beside = self.folder / name
+        if beside.is_file():
+            return beside
+        return find_config_folder() / name
+
+    def _read_parameters(self, name: str) -> dict[str, Any]:
+        return read_parameters(self._find_file(name))
+
+    def _derive_wide_surfaces(
+        self, name: str, surfaces: Mapping[str, Any]
+    ) -> dict[str, Any]:
         """Return the surface of each tip of an edge or face, which share its stiffness."""
-        wide = self._wide(name, plant['surfaces'])
-        like = plant['surfaces'][wide.like]
-        shared = {
-            key: like.get(key, SurfaceConfig.model_fields[key].default) / len(wide.tips)
-            for key in ('stiffness', 'damping')
-        }
+        wide = self._require_wide_contact(name, surfaces)
+        offsets = EDGE_OFFSETS if len(wide.tips) == 2 else FACE_OFFSETS
+        shared = dict(surfaces[wide.like], contact=name)
+        for key in ('stiffness', 'damping'):
+            whole = shared.get(key, SurfaceConfig.model_fields[key].default)
+            shared[key] = whole / len(wide.tips)
         return {
-            tip: {
-                **like,
-                **shared,
-                'tip_link': tip,
-                'contact': name,
-                'offset': list(offset),
-            }
-            for tip, offset in zip(wide.tips, EDGE if len(wide.tips) == 2 else FACE)
+            tip: {**shared, 'tip_link': tip, 'offset': list(offset)}
+            for tip, offset in zip(wide.tips, offsets)
         }
 
-    def _wide_contact(self, name: str, controller: Mapping[str, Any]) -> dict[str, Any]:
+    def _derive_wide_contact(
+        self, name: str, contacts: Mapping[str, Any]
+    ) -> dict[str, Any]:
         """Return an edge or face as the controller has it, from where its tips are."""
-        wide = self._wide(name, controller['contacts'])
-        like = controller['contacts'][wide.like]
-        to_operational = (
-            self.arm.operational.transform.inverse() * self.arm.sensor.transform
-        )
-        tips = np.array(
-            [to_operational.act(np.array(self.arm.tips[tip])) for tip in wide.tips]
-        )
-        length = np.linalg.norm(tips[1] - tips[0])
-        size = (
-            {}
-            if len(tips) == 2
-            else {'half_width': float(0.5 * np.linalg.norm(tips[2] - tips[1]))}
-        )
-        return {
-            **like,
-            'type': 'edge' if len(tips) == 2 else 'plane',
-            'point_operational': tips.mean(axis=0).tolist(),
-            'direction_operational': ((tips[1] - tips[0]) / length).tolist(),
-            'half_length': float(0.5 * length),
-            **size,
-            # It touches at its ends alone, unlike an edge that is stiff everywhere.
-            'couple_stiffness': like.get('stiffness', 6000.0),
-            'friction_std': WIDE_FRICTION,
-        }
+        wide = self._require_wide_contact(name, contacts)
+        tips = np.array([self._tip_at_operational_point(tip) for tip in wide.tips])
+        along = tips[1] - tips[0]
+        length = np.linalg.norm(along)
+        contact = dict(contacts[wide.like])
+        # It touches at its ends alone, unlike an edge that is stiff everywhere.
+        contact['couple_stiffness'] = contact.get('stiffness', MODEL_STIFFNESS)
+        contact['type'] = 'edge'
+        contact['point_operational'] = tips.mean(axis=0).tolist()
+        contact['direction_operational'] = (along / length).tolist()
+        contact['half_length'] = float(0.5 * length)
+        contact['friction_std'] = WIDE_FRICTION
+        if len(tips) == 4:
+            contact['type'] = 'plane'
+            contact['half_width'] = float(0.5 * np.linalg.norm(tips[2] - tips[1]))
+        return contact
 
-    def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideContactConfig:
+    def _require_wide_contact(
+        self, name: str, contacts: Collection[str]
+    ) -> WideContactConfig:
+        """Return an edge or face; ConfigError if its tips, or a contact like it, are unknown."""
         wide = self.file.wide_contacts[name]
         for field, names, known in (
             ('tips', wide.tips, self.arm.tips),
             ('like', (wide.like,), contacts),
         ):
-            if unknown := set(names).difference(known):
+            unknown = set(names).difference(known)
+            if unknown:
                 raise ConfigError(
                     f'wide_contacts.{name}.{field}',
                     f'of {", ".join(known)}',
@@ -208,46 +266,30 @@ class Robot:
                 )
         return wide
 
-    def controller_special(self, plant: str) -> dict[str, Any]:
-        """Return what the controller knows of a plant; laid over a preset."""
-        variant = self.file.plants[self.plant_name(plant)]
-        given = (
-            self._parameters(variant.controller_file) if variant.controller_file else {}
-        )
-        return merge(given, variant.controller)
+    def _tip_at_operational_point(self, tip: str) -> Vector:
+        """Return a tip in the operational frame, shape (3,) [m]."""
+        arm = self.arm
+        in_link = arm.sensor.transform.act(np.array(arm.tips[tip]))
+        place: Vector = arm.operational.transform.actInv(in_link)
+        return place
 
-    def urdf_dir(self) -> Path:
-        """Return the folder that the controller's `robot.urdf` is relative to."""
-        file = self.file.controller_file
-        return (self._path(file) if file else _urdf_file(self.arm)).parent
-
-    def _path(self, name: str) -> Path:
-        """Return a file that the robot's names: beside it, or in config/."""
-        beside = self.folder / name
-        return beside if beside.is_file() else find_config_folder() / name
-
-    def _parameters(self, name: str) -> dict[str, Any]:
-        return read_parameters(self._path(name))
-
-    def _derived_plant(self) -> dict[str, Any]:
+    def _derive_plant(self) -> dict[str, Any]:
         """Return a rigid plant, its surfaces before the tips at home."""
-        model, home = self.arm.model(), np.array(self.file.home)
+        model = self.arm.model()
+        home = np.array(self.file.home)
         surfaces = {}
         for name, contact in self.file.contacts.items():
-            tip, normal = (
-                frame_pose(model, home, contact.tip).translation,
-                contact.normal_world,
-            )
+            tip = frame_pose(model, home, contact.tip).translation
+            to_surface = contact.gap * np.array(contact.normal_world)
             surfaces[name] = {
                 'tip_link': contact.tip,
-                'normal_world': list(normal),
-                'point_world': (tip + contact.gap * np.array(normal)).tolist(),
+                'normal_world': list(contact.normal_world),
+                'point_world': (tip + to_surface).tolist(),
                 'stiffness': contact.stiffness,
                 'slip_speed': 0.01,
             }
-        tips = list(
-            dict.fromkeys(contact.tip for contact in self.file.contacts.values())
-        )
+        tips = [contact.tip for contact in self.file.contacts.values()]
+        different_tips = list(dict.fromkeys(tips))
         return {
             'home': list(self.file.home),
             'drives': 'rigid',
@@ -256,87 +298,96 @@ class Robot:
             'joint_friction_scale': 0.0,
             'contact_names': list(surfaces),
             'surfaces': surfaces,
-            'tool_push_link': tips[-1],
+            'tool_push_link': different_tips[-1],
         }
 
-    def _derived_controller(self) -> dict[str, Any]:
+    def _derive_controller(self) -> dict[str, Any]:
         """Return controller.yaml with this arm in the place of its own."""
-        arm, file = self.arm, self.file
+        arm = self.arm
         base = read_parameters(find_config_folder() / 'controller.yaml')
-        rate, limits = float(base.get('rate', 500.0)), base.get('limits', {})
-        model = arm.model()
-        home = frame_pose(model, np.array(file.home)).translation
-        operational, sensor = arm.operational.transform, arm.sensor.transform
-        points = {
-            name: operational.actInv(
-                sensor.act(np.array(arm.tips[contact.tip]))
-            ).tolist()
-            for name, contact in file.contacts.items()
+        contacts = {
+            name: {
+                'normal_world': list(contact.normal_world),
+                'point_operational': self._tip_at_operational_point(
+                    contact.tip
+                ).tolist(),
+                'stiffness': contact.stiffness,
+            }
+            for name, contact in self.file.contacts.items()
         }
-        lower, upper = (
-            np.clip(limit, -RANGE_OF_CONTINUOUS, RANGE_OF_CONTINUOUS).tolist()
-            for limit in joint_limits(model)
-        )
         derived = {
             'robot': {
-                'urdf': _urdf_file(arm).name,
+                'urdf': _write_urdf(arm).name,
                 'joint_names': list(arm.joint_names),
                 'armature': list(arm.armature),
                 'operational_frame': OPERATIONAL_FRAME,
                 'sensor_frame': SENSOR_FRAME,
             },
             'tool': {'mass': arm.carried_mass, 'com_sensor': list(arm.carried_com)},
-            'contact_names': list(file.contacts),
-            'contacts': {
-                name: {
-                    'normal_world': list(contact.normal_world),
-                    'point_operational': points[name],
-                    'stiffness': contact.stiffness,
-                }
-                for name, contact in file.contacts.items()
-            },
+            'contact_names': list(contacts),
+            'contacts': contacts,
             'torque_limit': list(arm.torque_limit),
             'limits': {
-                **limits,
-                'joint_lower': lower,
-                'joint_upper': upper,
-                'joint_speed': [link.speed_limit for link in arm.links],
-                'torque_rate': [
-                    TORQUE_RATE_SHARE * rate * limit for limit in arm.torque_limit
-                ],
-                'workspace_lower': list(file.workspace_lower)
-                or (home + WORKSPACE[0]).tolist(),
-                'workspace_upper': list(file.workspace_upper)
-                or (home + WORKSPACE[1]).tolist(),
+                **base.get('limits', {}),
+                **self._derive_limits(float(base.get('rate', 500.0))),
             },
         }
-        kept = {key: value for key, value in base.items() if key not in OF_THE_ARM}
+        kept = {
+            key: value for key, value in base.items() if key not in PARTS_OF_ITS_ARM
+        }
         return {**kept, **derived}
+
+    def _derive_limits(self, rate: float) -> dict[str, list[float]]:
+        """Return the limits of joints and workspace, for a control rate [Hz]."""
+        arm = self.arm
+        model = arm.model()
+        lower, upper = joint_limits(model)
+        home = frame_pose(model, np.array(self.file.home)).translation
+        box_lower = home + WORKSPACE_LOWER
+        box_upper = home + WORKSPACE_UPPER
+        if self.file.workspace_lower:
+            box_lower = np.array(self.file.workspace_lower)
+        if self.file.workspace_upper:
+            box_upper = np.array(self.file.workspace_upper)
+        torque_rate = TORQUE_RATE_SHARE * rate
+        return {
+            'joint_lower': np.maximum(lower, -ENDLESS_RANGE).tolist(),
+            'joint_upper': np.minimum(upper, ENDLESS_RANGE).tolist(),
+            'joint_speed': [link.speed_limit for link in arm.links],
+            'torque_rate': [torque_rate * limit for limit in arm.torque_limit],
+            'workspace_lower': box_lower.tolist(),
+            'workspace_upper': box_upper.tolist(),
+        }
 
 
 def robot_names() -> tuple[str, ...]:
     """Return the names of the robots that come with the package, the default one first."""
-    names = sorted(path.stem for path in (find_config_folder() / FOLDER).glob('*.yaml'))
-    return tuple(sorted(names, key=lambda name: name != DEFAULT))
+    files = (find_config_folder() / FOLDER).glob('*.yaml')
+    others = {file.stem for file in files} - {DEFAULT}
+    return (DEFAULT, *sorted(others))
 
 
 def find_robot(name: str = DEFAULT) -> Robot:
-    """Return a robot of config/robots, or of the file at a path; ConfigError."""
+    """
+    Return a robot of config/robots by its name, or of a user's own file by its path.
+
+    ConfigError if there is none, or its file is not valid.
+    """
     path = find_named_file('robot', FOLDER, name)
-    known = path.parent == find_config_folder() / FOLDER
-    return _robot(
-        path.stem if known else str(path.resolve()), path, path.stat().st_mtime_ns
-    )
+    robot_name = str(path.resolve())
+    if path.parent == find_config_folder() / FOLDER:
+        robot_name = path.stem
+    return _read_robot(robot_name, path, path.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=32)
-def _robot(name: str, path: Path, _changed: int) -> Robot:
-    return Robot(
-        name, validate(RobotFile, read_yaml(path), str(path)), path.resolve().parent
-    )
+def _read_robot(name: str, path: Path, _changed: int) -> Robot:
+    """Read a robot, anew if its file has `_changed` [ns]."""
+    file = validate(RobotFile, read_yaml(path), str(path))
+    return Robot(name, file, path.resolve().parent)
 
 
-def urdf_path(name: str, folder: Path) -> Path:
+def find_urdf(name: str, folder: Path) -> Path:
     """
     Return the file of a URDF; ConfigError if it is not there, with the wheel that brings it.
 
@@ -349,39 +400,30 @@ def urdf_path(name: str, folder: Path) -> Path:
             raise ConfigError(
                 'urdf', f'a package among {", ".join(sorted(WHEELS))}', f"'{package}'"
             )
-        path = (_package_folder(package) or Path()) / inside
+        wheel = WHEELS[package]
+        try:
+            installed = metadata.distribution(wheel.distribution)
+            path = Path(str(installed.locate_file(wheel.folder)), inside)
+        except metadata.PackageNotFoundError:
+            path = Path()
         if not path.is_file():
             raise ConfigError(
-                'urdf', f'the package {package}: pip install {WHEELS[package]}', name
+                'urdf',
+                f'the package {package}: pip install {wheel.distribution}',
+                name,
             )
     if not path.is_file():
         raise ConfigError('urdf', 'a readable URDF file', path)
     return path
 
 
-def _package_folder(package: str) -> Path | None:
-    """Return where the URDFs of a package are, None if it is not installed."""
-    if package == 'example-robot-data':  # its wheel has no module
-        prefixes = [
-            *(f'{path}/cmeel.prefix' for path in sys.path),
-            sys.prefix,
-            *filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)),
-        ]
-        folders = [Path(prefix) / SHARED for prefix in prefixes]
-    else:
-        spec = find_spec(package)
-        places = None if spec is None else spec.submodule_search_locations
-        folders = [Path(place) for place in places or ()]
-    return next((folder for folder in folders if folder.is_dir()), None)
-
-
-def _urdf_file(arm: Arm) -> Path:
+def _write_urdf(arm: Arm) -> Path:
     """Write the URDF of an arm where the same text is found again, and return its path."""
     stamp = hashlib.sha256(arm.urdf.encode()).hexdigest()[:16]
-    folder = (find_cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
-    path = folder / f'{arm.name}.urdf'
+    cache = find_cache_folder() or Path(tempfile.gettempdir())
+    path = cache / f'urdf-{stamp}' / f'{arm.name}.urdf'
     if not path.is_file():
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(f'.{os.getpid()}')  # others may write it, too
         unfinished.write_text(arm.urdf, encoding='utf-8')
         unfinished.replace(path)

@@ -37,6 +37,7 @@ from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from sim_bridge.actuator_delay import ActuatorDelay
@@ -47,28 +48,30 @@ from sim_bridge.plant import Plant, Sample
 from sim_bridge.surface_patch import SurfaceMarkers
 from std_msgs.msg import Header, String
 
-MAX_LATE_PERIODS = 2
+LARGEST_LATENESS = 2  # periods, beyond which a late node moves the deadlines back
 CATCH_UP = (
     NANOSECONDS // 10
 )  # lag behind the wall clock that lockstep makes up for [ns]
-RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
+# Time after which sample 0 is sent again [s]: until everything has started, or behind a gate.
+RESEND_PERIOD = 1.0
+RESEND_PERIOD_GATED = 10.0
 ANSWER_TIMEOUT = 10.0  # s, longest wait for a command in lockstep
 RESENDS = 16  # times that a sample is sent in lockstep within that
+LAST_ANSWER_TIME = (
+    NANOSECONDS // 10
+)  # for the command that answers the last sample [ns]
 WAIT_FRACTION = (
-    0.5  # of a period: time for the command of a sample before the plant moves on
+    0.5  # of a period, for the command of a sample before the plant moves on
 )
-COMMAND_TIMEOUT = (
-    0.05  # s without a command, free-running; then the drives hold their position
-)
+# s without a command, free-running; then the drives hold their position.
+COMMAND_TIMEOUT = 0.05
 TOOL = 'tool'
-EDGES = np.logspace(
-    1.0, 5.0, 41
-)  # us, of the latencies: ten per decade, 10 us to 100 ms
+LATENCY_EDGES = np.logspace(1.0, 5.0, 41)  # us, ten per decade, 10 us to 100 ms
 REMEMBERED = 1024  # samples whose time of publication is known
 
 
 class SimNodeConfig(StartupConfig):
-    """What only the node needs to know, not the plant in it."""
+    """Rate, length and pace of the simulation: what the node needs beside the plant."""
 
     rate: float = parameter(500.0, 'Samples per second.', unit='Hz', gt=0.0)
     seed: int = parameter(0, 'Seed of roughness and sensor noise.', ge=0)
@@ -95,12 +98,17 @@ class SimNodeConfig(StartupConfig):
 
 
 def stamp_of_tick(tick: int, rate: float) -> int:
-    """Return tick / rate in whole nanoseconds, without an error that grows."""
+    """Return the time tick / rate [Hz] in whole nanoseconds, without an error that grows."""
     return int(tick * NANOSECONDS / Fraction(rate))
 
 
 class SimNode(Node):
-    """Simulates the arm: publishes joint states and wrench, applies the commanded torques."""
+    """
+    Simulates the arm: publishes joint states and wrench, applies the commanded torques.
+
+    Beside what a robot would publish are the true forces and the surfaces, for observers. Pushes
+    come over a topic, payload and surfaces change with the node's parameters.
+    """
 
     def __init__(self) -> None:
         super().__init__(topics.SIM)
@@ -108,8 +116,9 @@ class SimNode(Node):
         config: SimNodeConfig
         parameters = ParameterSet(self, PlantConfig, SimNodeConfig)
         plant_config, config = parameters.build_configurations()
-        self._plant_config, self._config = plant_config, config
-        parameters.apply_design = self._change
+        self._plant_config = plant_config
+        self._config = config
+        parameters.apply_design = self._change_plant
         self._plant = Plant(plant_config, rate=config.rate, seed=config.seed)
         # The first step ever takes many times as long as all others: not in the run.
         self._plant.step(self._plant.initial_torque)
@@ -117,48 +126,38 @@ class SimNode(Node):
         self._plant.payload = config.payload
         self._delay_ticks = plant_config.actuator_delay_ticks
         self._delay = ActuatorDelay(self._delay_ticks, self._plant.initial_torque)
-        self._refusals = RefusalLog(self.get_logger())
-        self._tick = 0
-        self._answered = -1
-        self._commanded = 0  # when the last command came
         self._hold = PositionHold(self._plant.model)
+        self._tick = 0  # of the newest sample
+        self._origin = 0  # stamp of sample 0 [ns]
+        self._answered = -1  # newest tick whose command has come
+        self._commanded = 0  # tick at which the last command came
         # Longest time to a command that is no miss [ns].
-        self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
-        self._misses = self._slips = self._timeouts = 0
+        self._period = NANOSECONDS / config.rate
+        if config.lockstep:
+            self._period = np.inf
+        self._misses = 0
+        self._slips = 0
+        self._timeouts = 0
         self._due = 0  # when the newest sample was due [ns]
         self._step_times = diagnostics.DurationLog()
         self._start = time.monotonic_ns()
-        self._wall = 0
-        self._published = np.zeros(REMEMBERED, dtype=np.int64)
+        self._wall = 0  # length of the run [ns]
+        self._published = np.zeros(REMEMBERED, dtype=np.int64)  # [ns]
         description = create_publisher(self, topics.ROBOT_DESCRIPTION)
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
-        joints, contacts = self._plant.joint_names, self._plant.contact_names
-        zeros, wrench = (
-            np.zeros(len(joints)),
-            WrenchStamped(header=Header(frame_id=SENSOR_FRAME)),
-        )
-        self._streams = {
-            topic: StreamPublisher(self, topic, pattern)
-            for topic, pattern in (
-                (topics.WRENCH, wrench),
-                (topics.WRENCH_FILTERED, wrench),
-                (
-                    topics.JOINT_STATES,
-                    messages.joint_state_message(
-                        0, joints, position=zeros, velocity=zeros, effort=zeros
-                    ),
-                ),
-                (
-                    topics.TRUE_FORCES,
-                    messages.joint_state_message(
-                        0, contacts, effort=np.zeros(len(contacts))
-                    ),
-                ),
-            )
-        }
-        self._clock_publisher = (
-            create_publisher(self, topics.CLOCK) if config.lockstep else None
+        self._clock_publisher: Publisher | None = None
+        if config.lockstep:
+            self._clock_publisher = create_publisher(self, topics.CLOCK)
+        self._streams = self._make_streams()
+        self._refusals = RefusalLog(self.get_logger())
+        self._read_command = MessageReader(
+            JointState,
+            partial(
+                messages.read_named_vectors,
+                names=self._plant.joint_names,
+                fields=['effort'],
+            ),
         )
         self.create_subscription(
             topics.EFFORT_COMMAND.message,
@@ -166,10 +165,6 @@ class SimNode(Node):
             self._on_command,
             qos.INPUT,
             raw=True,
-        )
-        self._read = MessageReader(
-            JointState,
-            partial(messages.read_named_vectors, names=joints, fields=['effort']),
         )
         self.create_subscription(
             topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile
@@ -179,11 +174,31 @@ class SimNode(Node):
             self, config.rate, topics.EFFORT_COMMAND
         )
         self._diagnostics = diagnostics.DiagnosticsPublisher(
-            self, self._statuses, BackgroundThread()
+            self, self._component_statuses, BackgroundThread()
         )
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(self, config)
-        self._origin = 0  # stamp of sample 0 [ns]
+
+    def _make_streams(self) -> dict[topics.Topic, StreamPublisher]:
+        """Return the publishers of what comes with every sample, by topic."""
+        joints = self._plant.joint_names
+        contacts = self._plant.contact_names
+        zeros = np.zeros(len(joints))
+        wrench = WrenchStamped(header=Header(frame_id=SENSOR_FRAME))
+        patterns = {
+            topics.WRENCH: wrench,
+            topics.WRENCH_FILTERED: wrench,
+            topics.JOINT_STATES: messages.joint_state_message(
+                0, joints, position=zeros, velocity=zeros, effort=zeros
+            ),
+            topics.TRUE_FORCES: messages.joint_state_message(
+                0, contacts, effort=np.zeros(len(contacts))
+            ),
+        }
+        return {
+            topic: StreamPublisher(self, topic, pattern)
+            for topic, pattern in patterns.items()
+        }
 
     def run(self, spinner: Spinner) -> None:
         """Run the plant until the last tick or a signal; RunError if a command does not come."""
@@ -221,16 +236,18 @@ class SimNode(Node):
         """Publish sample 0 until it is answered; nothing moves before that."""
         period = stamp_of_tick(1, self._config.rate)
         # Lockstep knows no wall clock; one period on, so that no stamp is the zero of "none".
-        self._origin = (
-            period if self._config.lockstep else time.time_ns() // period * period
-        )
+        self._origin = period
+        if not self._config.lockstep:
+            self._origin = time.time_ns() // period * period
         self._publish_surfaces()
-        # Behind the gate it cannot have been lost; a second copy would only be in the bag.
-        resend = RESEND_PERIOD_GATED if self._config.startup_peers else RESEND_PERIOD
+        resend = RESEND_PERIOD
+        if self._config.startup_peers:
+            # Behind the gate it cannot have been lost; a second copy would only be in the bag.
+            resend = RESEND_PERIOD_GATED
         due = 0.0
         while not spinner.stop and self._answered < 0:
             if time.monotonic() >= due:
-                self._publish()
+                self._publish_sample()
                 due = time.monotonic() + resend
             spinner.spin_once(0.05)
             self._diagnostics.poll()
@@ -241,65 +258,63 @@ class SimNode(Node):
         return 0 < self._config.ticks <= self._tick + 1
 
     def _run_free(self, spinner: Spinner) -> None:
+        """Publish samples at the deadlines of the clock, whether they are answered or not."""
         period = self._period
         # Sample 0 was answered just now: the next one follows a period after it, or at once.
         anchor = max(int(self._published[0]), time.monotonic_ns() - int(period))
-        wait = int(WAIT_FRACTION * period)
         slipped = 0
         torque = self._delay.torque_for(0)
         while not (spinner.stop or self._done):
-            self._advance(
-                self._watched(
-                    torque if self._delay_ticks else self._delay.torque_for(self._tick)
-                )
-            )
+            if self._delay_ticks == 0:
+                torque = self._delay.torque_for(self._tick)
+            self._advance_plant(self._acting_torque(torque))
             deadline = anchor + slipped + int((self._tick + 1) * period)
             self._spin_until(spinner, deadline)
             late = time.monotonic_ns() - deadline
-            if late > MAX_LATE_PERIODS * period:
+            if late > LARGEST_LATENESS * period:
                 slipped += late
                 deadline += late
                 self._slips += 1
             if self._answered < self._tick:
-                self._miss()
+                self._count_miss()
             self._tick += 1
-            if self._delay_ticks:
+            if self._delay_ticks > 0:
                 torque = self._delay.torque_for(self._tick)
-            self._publish()
-            self._spin_until(spinner, deadline + wait, answered=True)
+            self._publish_sample()
+            self._spin_until_answered(spinner, deadline + int(WAIT_FRACTION * period))
             self._publish_truth()
             self._diagnostics.poll()
         # The last sample deserves its answer, too.
-        self._spin_until(
-            spinner, time.monotonic_ns() + NANOSECONDS // 10, answered=True
-        )
+        self._spin_until_answered(spinner, time.monotonic_ns() + LAST_ANSWER_TIME)
 
-    def _miss(self) -> None:
+    def _count_miss(self) -> None:
         self._misses += 1
         self._watch.missed += 1
 
-    def _watched(self, torque: Vector) -> Vector:
+    def _acting_torque(self, torque: Vector) -> Vector:
         """Return the torque that acts: the commanded one, or what the drives do without."""
         if self._tick - self._commanded <= COMMAND_TIMEOUT * self._config.rate:
             self._hold.posture = None
             return torque
-        self._timeouts += self._hold.posture is None
-        return self._hold.torque(self._sample.q, self._sample.qd)
+        if self._hold.posture is None:
+            self._timeouts += 1
+        return self._hold.holding_torque(self._sample.q, self._sample.qd)
 
     def _run_lockstep(self, spinner: Spinner) -> None:
+        """Publish each sample when the one before is answered, not before its time."""
         self._due = int(self._published[0])
         if self._delay_ticks == 0:
             self._wait_for_answer(spinner)
         while not (spinner.stop or self._done):
             # Sample k + 1 needs only commands up to k, or k - 1 with a delay: the plant then
             # moves on while the controller thinks about sample k.
-            self._advance(self._delay.torque_for(self._tick))
+            self._advance_plant(self._delay.torque_for(self._tick))
             self._wait_for_answer(spinner)
             self._keep_pace(spinner)
             if spinner.stop:
                 return
             self._tick += 1
-            self._publish()
+            self._publish_sample()
             self._publish_truth()
             self._diagnostics.poll()
             if self._delay_ticks == 0:
@@ -317,26 +332,31 @@ class SimNode(Node):
         if late > CATCH_UP:
             self._due += late
 
-    def _advance(self, torque: Any) -> None:
+    def _advance_plant(self, torque: Vector) -> None:
         start = time.perf_counter_ns()
         self._sample = self._plant.step(torque)
         self._step_times.add(time.perf_counter_ns() - start)
 
-    def _spin_until(
-        self, spinner: Spinner, deadline: int, *, answered: bool = False
-    ) -> None:
-        """Run callbacks until an absolute time [ns], or until the sample is `answered`."""
+    def _spin_until(self, spinner: Spinner, deadline: int) -> None:
+        """Run callbacks until a monotonic time [ns]; once if it is past."""
         remaining = deadline - time.monotonic_ns()
-        if remaining <= 0 and not answered:
+        if remaining <= 0:
             spinner.spin_once(0.0)  # late, but what has arrived has arrived in time
-        while remaining > 0 and not (
-            spinner.stop or answered and self._answered >= self._tick
-        ):
+        while remaining > 0 and not spinner.stop:
+            spinner.spin_once(remaining * 1e-9)
+            remaining = deadline - time.monotonic_ns()
+
+    def _spin_until_answered(self, spinner: Spinner, deadline: int) -> None:
+        """Run callbacks until the newest sample is answered, or a monotonic time [ns]."""
+        remaining = deadline - time.monotonic_ns()
+        while remaining > 0 and not spinner.stop and self._answered < self._tick:
             spinner.spin_once(remaining * 1e-9)
             remaining = deadline - time.monotonic_ns()
 
     def _wait_for_answer(self, spinner: Spinner) -> None:
-        start, sent = time.monotonic(), 1
+        """Run callbacks until the newest sample is answered; RunError after `ANSWER_TIMEOUT`."""
+        start = time.monotonic()
+        sent = 1
         while self._answered < self._tick and not spinner.stop:
             spinner.spin_once(0.1)
             waited = time.monotonic() - start
@@ -348,18 +368,20 @@ class SimNode(Node):
                     )
                 # A controller that was cleaned up and configured again has not seen it.
                 sent += 1
-                self._send()
+                self._send_sample()
 
-    def _publish(self) -> None:
+    def _publish_sample(self) -> None:
         """Publish a new sample; the clock of its latency starts here."""
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
         self._watch.add_period(now)
-        self._send()
+        self._send_sample()
 
-    def _send(self) -> None:
+    def _send_sample(self) -> None:
         """Send what the controller works with."""
-        sample, streams, stamp = self._sample, self._streams, self._stamp(self._tick)
+        sample = self._sample
+        streams = self._streams
+        stamp = self._stamp_of(self._tick)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=messages.ns_to_stamp(stamp)))
         streams[topics.WRENCH].publish_if_subscribed(stamp, sample.wrench)
@@ -372,75 +394,82 @@ class SimNode(Node):
 
     def _publish_truth(self) -> None:
         """Publish what only an observer may know."""
+        stamp = self._stamp_of(self._tick)
         self._streams[topics.TRUE_FORCES].publish_if_subscribed(
-            self._stamp(self._tick), self._sample.contact_force
+            stamp, self._sample.contact_force
         )
-        if self._surfaces.due(self._tick):
+        if self._surfaces.is_due(self._tick):
             self._publish_surfaces()
 
     def _publish_surfaces(self) -> None:
-        self._surface_publisher.publish(
-            self._surfaces.message(
-                self._stamp(self._tick), self._plant.contacts.places_world
-            )
-        )
+        places = self._plant.contacts.places_world
+        stamp = self._stamp_of(self._tick)
+        self._surface_publisher.publish(self._surfaces.build_message(stamp, places))
 
-    def _stamp(self, tick: int) -> int:
+    def _stamp_of(self, tick: int) -> int:
         return self._origin + stamp_of_tick(tick, self._config.rate)
 
     def _on_command(self, data: bytes) -> None:
-        received = self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
+        received = time.monotonic_ns()
+        self._inputs.last[topics.EFFORT_COMMAND] = received
         with self._refusals.logging_refusals(topics.EFFORT_COMMAND):
-            stamp, torque = self._read(data)
+            stamp, torque = self._read_command(data)
             tick = round((stamp - self._origin) * 1e-9 * self._config.rate)
-            if not (tick >= 0 and self._stamp(tick) == stamp):
+            if tick < 0 or self._stamp_of(tick) != stamp:
                 raise MessageError('stamp', 'that of a sample', f'{stamp} ns')
             # A controller that has waited for a sample in vain may have counted on.
             tick = min(tick, self._tick)
             if tick < self._answered:
                 return
             # The same sample may get another answer, from a controller that hears of no newer.
-            self._delay.command(tick, torque)
+            self._delay.enter_command(tick, torque)
             self._commanded = self._tick
-            if tick > self._answered:
-                self._answered = tick
-                if (
-                    tick > 0
-                ):  # the answer to the first sample waits for everything to start
-                    latency = received - int(self._published[tick % REMEMBERED])
-                    self._watch.latencies.add(latency)
-                    # The node was late itself, and has not counted this deadline.
-                    if tick == self._tick and latency > self._period:
-                        self._miss()
+            first_answer = tick > self._answered
+            self._answered = tick
+            # The answer to sample 0 waits for everything to start: no latency of the loop.
+            if first_answer and tick > 0:
+                self._add_latency(tick, received)
+
+    def _add_latency(self, tick: int, received: int) -> None:
+        """Take note of when a sample was answered, monotonic time [ns]."""
+        latency = received - int(self._published[tick % REMEMBERED])
+        self._watch.latencies.add(latency)
+        # The node was late itself, and has not counted this deadline.
+        if tick == self._tick and latency > self._period:
+            self._count_miss()
 
     def _on_push(self, message: Vector3Stamped) -> None:
         with self._refusals.logging_refusals(topics.PUSH):
-            place, force = message.header.frame_id, message.vector
+            place = message.header.frame_id
             if place not in ('', TOOL):
                 raise MessageError(
                     'header.frame_id', f"'{TOOL}', or none", f"'{place}'"
                 )
-            pushed = messages.finite_array([force.x, force.y, force.z], 3, 'vector')
-            size = float(np.linalg.norm(pushed))
+            vector = message.vector
+            force = messages.finite_array([vector.x, vector.y, vector.z], 3, 'vector')
+            size = float(np.linalg.norm(force))
             if size > LARGEST_PUSH:
                 raise MessageError(
                     'vector', f'at most {LARGEST_PUSH:g} N', f'{size:g} N'
                 )
-            self._plant.push(pushed, PUSH_TIME, tool=place == TOOL)
+            self._plant.push(force, PUSH_TIME, tool=place == TOOL)
 
-    def _change(self, configurations: Sequence[Any]) -> None:
+    def _change_plant(self, configurations: Sequence[Any]) -> None:
         """Change payload, stiffness and friction; ConfigError with native contacts."""
         config: PlantConfig = configurations[0]
-        contacts, before = self._plant.contacts, self._plant_config.surfaces
+        contacts = self._plant.contacts
         for number, name in enumerate(config.met):
-            old, new = before[name], config.surfaces[name]
+            old = self._plant_config.surfaces[name]
+            new = config.surfaces[name]
             if new.stiffness != old.stiffness:
                 contacts.scale_stiffness(number, new.stiffness / old.stiffness)
             if new.friction != old.friction:
-                contacts.set_friction(number, new.friction)
-        self._plant_config, self._plant.payload = config, configurations[1].payload
+                contacts.changeable_surface(number)['friction'] = new.friction
+        self._plant_config = config
+        self._plant.payload = configurations[1].payload
 
-    def _statuses(self) -> list[diagnostics.ComponentStatus]:
+    def _component_statuses(self) -> list[diagnostics.ComponentStatus]:
+        """Return what the diagnostics say of the loop, its input and the contacts."""
         wall = (time.monotonic_ns() - self._start) * 1e-9
         loop = {
             **self._watch.report(),
@@ -450,36 +479,35 @@ class SimNode(Node):
             'lockstep': self._config.lockstep,
             'realtime_factor': round(self._tick / self._config.rate / wall, 3),
         }
-        missed = loop['deadline_misses']
-        forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
+        warning = ''
+        if loop['deadline_misses']:
+            warning = f'{loop["deadline_misses"]} deadlines missed'
+        consequence = ': the drives hold their position'
+        if self._hold.posture is None:
+            consequence = ': the last torque is held'
+        contacts = {}
+        forces = self._sample.contact_force.tolist()
+        for name, force in zip(self._plant.contact_names, forces):
+            contacts[name] = 'free'
+            if force > 0.0:
+                contacts[name] = f'touching with {force:.4g} N'
         return [
-            diagnostics.ComponentStatus(
-                'loop', loop, warning=f'{missed} deadlines missed' if missed else ''
-            ),
-            self._inputs.status(
-                needed=self._tick > 0,
-                consequence=': the last torque is held'
-                if self._hold.posture is None
-                else ': the drives hold their position',
-            ),
-            diagnostics.ComponentStatus(
-                'contacts',
-                {
-                    name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
-                    for name, force in forces
-                },
-            ),
+            diagnostics.ComponentStatus('loop', loop, warning=warning),
+            self._inputs.status(needed=self._tick > 0, consequence=consequence),
+            diagnostics.ComponentStatus('contacts', contacts),
             diagnostics.refusal_status(self._refusals),
         ]
 
 
 def latency_histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:
-    """Return counts between edges [us]; the first and the last take all beyond."""
-    kept = np.clip(microseconds, EDGES[0], EDGES[-1])
-    return {
-        'edges_us': EDGES.round(1).tolist(),
-        'counts': np.histogram(kept, EDGES)[0].tolist(),
-    }
+    """
+    Return how many latencies lie between edges [us]; the first and the last take all beyond.
+
+    It is what the file of counts, which a report reads, has of them.
+    """
+    kept = np.clip(microseconds, LATENCY_EDGES[0], LATENCY_EDGES[-1])
+    counts, _ = np.histogram(kept, LATENCY_EDGES)
+    return {'edges_us': LATENCY_EDGES.round(1).tolist(), 'counts': counts.tolist()}
 
 
 def main() -> int:

@@ -1,5 +1,5 @@
 """
-What the bar tips meet: compliant, one-sided, rough surfaces with friction, curved or moving.
+Surfaces that the bar tips meet: compliant, one-sided, rough, with friction, curved or moving.
 
 Forces are what the robot does to the surface, and normals point into it, so a pressing force has a
 positive normal component.
@@ -36,7 +36,7 @@ class Surface(Record, Protocol):
     slip_speed: float  # [m/s]
     spacing: float  # of the points of the profile [m]
     joint: int  # number of the joint that carries the tip
-    body: int  # likewise of the link that is pushed, or n for the tool
+    body: int  # number of the joint behind which the pushed link is, or n for the tool
     tip: Annotated[Vector, 3]  # the tip in that joint's frame [m]
     radius: float  # of a curved one, 0 for a plane, > 0 for the outside of a ball [m]
     ball: int  # whether curved all around, as a ball, or along the track alone
@@ -54,52 +54,77 @@ class Surface(Record, Protocol):
 SURFACE = record_dtype(Surface)
 
 
+# Fields that configuration and record have in common.
+COPIED_FIELDS = [
+    name for name in SurfaceConfig.model_fields if name in Surface.__annotations__
+]
+
+
 def build_surfaces(
     configs: list[SurfaceConfig],
     generators: list[np.random.Generator],
 ) -> tuple[Records[Surface], Matrix]:
     """
-    Return records of `SURFACE`, shape (no,), each with a roughness from its own generator.
+    Return surfaces as the compiled code works on them, each with a roughness of its own.
 
-    And their height profiles, positive towards the robot, each with its derivative along the
-    track, which repeat after the last point, shape (no, 2, m) [m].
+    Parameters
+    ----------
+    configs
+        The surfaces, `no` of them.
+    generators
+        Random numbers of each one's roughness.
+
+    Returns
+    -------
+    surfaces
+        Records of `SURFACE`, shape (no,); the tips are not filled in.
+    profiles
+        Heights, positive towards the robot [m], and their derivatives along the track, shape
+        (no, 2, PROFILE_POINTS). They repeat after the last point.
+
     """
     profiles = np.zeros((len(configs), 2, PROFILE_POINTS))
-    records = np.zeros(len(configs), dtype=SURFACE)
-    for i, config in enumerate(configs):
+    surfaces = np.zeros(len(configs), dtype=SURFACE)
+    for surface, profile, config, generator in zip(
+        surfaces, profiles, configs, generators
+    ):
+        for name in COPIED_FIELDS:
+            surface[name] = getattr(config, name)
+        normal = np.array(config.normal_world)
+        track = track_direction(normal)
+        surface['place'] = config.point_world
+        surface['normal'] = normal
+        surface['facing'] = normal
+        surface['track'] = track
+        surface['axis'] = np.cross(normal, track)
+        surface['ball'] = config.shape == 'sphere'
         spacing = config.roughness_length / POINTS_PER_LENGTH
-        heights = roughness_profile(config.roughness_std, generators[i])
-        profiles[i] = (
-            heights,
-            (np.roll(heights, -1) - np.roll(heights, 1)) / (2.0 * spacing),
-        )
-        record = records[i]
-        record['place'], record['normal'] = config.point_world, config.normal_world
-        record['track'] = track_direction(record['normal'])
-        record['axis'] = np.cross(record['normal'], record['track'])
-        for name in (
-            'stiffness',
-            'damping',
-            'friction',
-            'slip_speed',
-            'velocity',
-            'motion_start',
-            'motion_period',
-            'radius',
-        ):
-            record[name] = getattr(config, name)
-        record['spacing'] = spacing
-        record['ball'], record['facing'] = config.shape == 'sphere', record['normal']
-    return records, profiles
+        surface['spacing'] = spacing
+        heights = roughness_profile(config.roughness_std, generator)
+        profile[0] = heights
+        profile[1] = (np.roll(heights, -1) - np.roll(heights, 1)) / (2.0 * spacing)
+    return surfaces, profiles
 
 
 def roughness_profile(std: float, generator: np.random.Generator) -> Vector:
     """
     Return a periodic height profile: white noise smoothed by a Gaussian.
 
-    The Gaussian's standard deviation L is `POINTS_PER_LENGTH` points, so that the heights
-    correlate as exp(-(d / 2 L)^2). They have mean 0 and exactly the standard deviation `std`,
-    shape (PROFILE_POINTS,) [m].
+    The Gaussian's standard deviation L is `POINTS_PER_LENGTH` points, so that heights at a
+    distance d correlate as exp(-(d / 2 L)^2).
+
+    Parameters
+    ----------
+    std
+        Standard deviation of the heights [m], which they have exactly, with mean 0.
+    generator
+        Of the white noise.
+
+    Returns
+    -------
+    Vector
+        Heights, shape (PROFILE_POINTS,) [m].
+
     """
     white = generator.standard_normal(PROFILE_POINTS)
     frequency = np.fft.rfftfreq(PROFILE_POINTS)
@@ -111,23 +136,30 @@ def roughness_profile(std: float, generator: np.random.Generator) -> Vector:
 
 def track_direction(normal_world: Vector) -> Vector:
     """
-    Return the direction in a surface along which its height varies.
+    Return the unit direction in a surface along which its height varies, shape (3,).
 
-    It is world x laid into the surface, or world y for a surface that faces along x.
+    It is world x laid into the surface, or world y for a surface that faces along x. The normal
+    is a unit vector, world axes, shape (3,).
     """
-    axis = np.array([1.0, 0.0, 0.0])
+    along = np.array([1.0, 0.0, 0.0])
     if abs(normal_world[0]) > 0.9:
-        axis = np.array([0.0, 1.0, 0.0])
-    along = axis - normal_world * (normal_world @ axis)
-    return np.asarray(along / np.linalg.norm(along))
+        along = np.array([0.0, 1.0, 0.0])
+    track = along - normal_world * (normal_world @ along)
+    return np.asarray(track / np.linalg.norm(track))
 
 
 @compiled
 def move_surface(surface: Surface, step: float) -> None:
-    """Let a surface move for a step [s]."""
+    """
+    Let a surface, a record of `SURFACE`, move along its normal for a step [s].
+
+    With a constant velocity, or with v sin(2 pi t / T), from `motion_start` on.
+    """
     surface.time += step
     time = surface.time - surface.motion_start
-    surface.speed = 0.0 if time <= 0.0 else surface.velocity
+    surface.speed = surface.velocity
+    if time <= 0.0:
+        surface.speed = 0.0
     if surface.motion_period > 0.0:
         surface.speed *= np.sin(2.0 * np.pi * time / surface.motion_period)
     distance = surface.speed * step
@@ -140,9 +172,11 @@ def measure_depth(surface: Surface) -> float:
     """
     Return how deep the tip is in the mean surface [m], and fill in which way that faces.
 
-    On a curved one, depth and normal are those towards its centre, or its axis.
+    Of a record of `SURFACE` whose point is filled in. On a curved one, depth and normal are those
+    towards its centre (a sphere) or its axis (a cylinder).
     """
-    normal, facing = surface.normal, surface.facing
+    normal = surface.normal
+    facing = surface.facing
     depth = 0.0
     for i in range(3):
         facing[i] = normal[i]
@@ -160,7 +194,9 @@ def measure_depth(surface: Surface) -> float:
             away[i] -= across * surface.axis[i]
         squared += away[i] * away[i]
     distance = np.sqrt(squared)
-    sign = 1.0 if surface.radius > 0.0 else -1.0
+    sign = -1.0
+    if surface.radius > 0.0:
+        sign = 1.0
     if distance > 0.0:
         for i in range(3):
             facing[i] = sign * away[i] / distance
@@ -172,12 +208,23 @@ def press_surface(surface: Surface, velocity: Vector, profile: Matrix) -> None:
     """
     Work out what a moving tip does to a surface.
 
-    alpha = max(0, k depth + c d(depth)/dt) inside the surface, 0 outside (Kelvin-Voigt, it never
-    pulls); friction mu alpha v / sqrt(|v|^2 + v_s^2) along the sliding velocity v. Of a record of
-    `SURFACE` with the point filled in, force and alpha are filled in; with the velocity of the
-    tip, world axes, shape (3,) [m/s], and its height profile, shape (2, m) [m].
+    Normal force alpha = max(0, k depth + c d(depth)/dt) inside the surface, 0 outside
+    (Kelvin-Voigt, it never pulls); friction mu alpha v / sqrt(|v|^2 + v_s^2) along the sliding
+    velocity v.
+
+    Parameters
+    ----------
+    surface
+        A record of `SURFACE` with the point filled in; force and alpha are filled in here.
+    velocity
+        Of the tip, world axes, shape (3,) [m/s].
+    profile
+        Heights of the surface [m] and their derivative along the track, shape (2, m).
+
     """
-    normal, track, force = surface.facing, surface.track, surface.force
+    normal = surface.facing
+    track = surface.track
+    force = surface.force
     along = 0.0
     for i in range(3):
         along += (surface.point[i] - surface.place[i]) * track[i]
@@ -191,15 +238,16 @@ def press_surface(surface: Surface, velocity: Vector, profile: Matrix) -> None:
     # A surface that moves goes along its own normal, not along that where the tip is.
     for i in range(3):
         rate -= surface.speed * surface.normal[i] * normal[i]
+    # The height of the profile there, between two of its points.
     lower = np.floor(along / surface.spacing)
     share = along / surface.spacing - lower
     index = int(lower) % profile.shape[1]
     following = (index + 1) % profile.shape[1]
     depth += (1.0 - share) * profile[0, index] + share * profile[0, following]
-    rate += (
-        (1.0 - share) * profile[1, index] + share * profile[1, following]
-    ) * along_rate
-    force[0], force[1], force[2] = 0.0, 0.0, 0.0
+    slope = (1.0 - share) * profile[1, index] + share * profile[1, following]
+    rate += slope * along_rate
+    for i in range(3):
+        force[i] = 0.0
     surface.alpha = 0.0
     if depth <= 0.0:
         return

@@ -69,9 +69,9 @@ class Law:
         """Return the answer to a sample."""
         law = self.controller
         law.contacts['noise_variance'] = noise_variance
-        law.take(measurement.q, measurement.qd, measurement.wrench_sensor)
+        law.take_sample(measurement.q, measurement.qd, measurement.wrench_sensor)
         if law.arm.flags & FORCES_AMBIGUOUS:
-            law.refuse()
+            law.raise_no_answer()
         if not law.started:
             self._task.start_task(law.start())
         self._task.update_wanted_task(measurement.time)

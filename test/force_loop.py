@@ -49,10 +49,12 @@ class ActiveObserver:
             force,
             noise_variance,
         )
-        aob.observe(self.records[0], self.contact[0], measured, 0.0, self.space[0])
+        aob.observe_force(
+            self.records[0], self.contact[0], measured, 0.0, self.space[0]
+        )
 
     def command(self, force_des):
-        return aob.command(self.records[0], force_des)
+        return aob.command_acceleration(self.records[0], force_des)
 
     @property
     def innovation(self):

@@ -6,7 +6,7 @@ from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.robots import find_robot, robot_names, urdf_path
+from sim_bridge.robots import find_robot, find_urdf, robot_names
 
 NO_MUJOCO = 'MuJoCo is not installed: extra [mujoco]'
 needs_mujoco = pytest.mark.skipif(find_spec('mujoco') is None, reason=NO_MUJOCO)
@@ -17,7 +17,7 @@ def has_urdf(name):
     """Return whether the URDF of a robot is installed."""
     robot = find_robot(name)
     try:
-        return urdf_path(robot.file.urdf, robot.folder).is_file()
+        return find_urdf(robot.file.urdf, robot.folder).is_file()
     except ConfigError:
         return False
 

@@ -55,25 +55,25 @@ BUDGETS = {
     'contact': 4_600,
     'force': 15_600,
     'control': 9_000,
-    LOOP: 3_300,
+    LOOP: 3_400,
     'supervision': 29_500,
     'diagnosis': 3_500,
     'sensor': 3_200,
     'config': 6_400,
-    'nodes': 27_300,
+    'nodes': 27_500,
     'runs': 16_700,
     'judging': 21_900,
-    'commissioning': 6_700,
+    'commissioning': 6_600,
     'faults': 11_700,
     'study': 16_500,
     'view': 19_700,
     'cli': 5_900,
     'sim_bridge': 30_000,
     'test': 158_900,
-    'test/campaign': 8_700,
+    'test/campaign': 9_100,
     'benchmarks': 3_200,
 }
-MOST_COMPILED = 144  # functions
+MOST_COMPILED = 146  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 14.0, 34

@@ -61,25 +61,25 @@ class Bench:
     def step(self, n=1, effort=EFFORT, wrench=None, q=HOME, qd=REST, change=None):
         """Answer samples, after a change of them if there is one; return the last torque."""
         for _ in range(n):
-            self.timing.add(JointInput(self.stamp, q.copy(), qd, effort))
-            self.timing.add(
+            self.timing.add_reading(JointInput(self.stamp, q.copy(), qd, effort))
+            self.timing.add_reading(
                 WrenchInput(self.stamp, self.wrench() if wrench is None else wrench)
             )
-            action, inputs = self.timing.what_now(self.stamp)
+            action, inputs = self.timing.decide_on_message(self.stamp)
             assert action is Action.STEP
             torque = self.loop.step(change(inputs) if change else inputs)
-            self.timing.add_variance(self.stamp, np.full(2, 0.6))
+            self.timing.add_noise_variance(self.stamp, np.full(2, 0.6))
             self.k += 1
         return torque
 
     def step_half(self, *, joints=True):
         """Answer half of a sample whose other half does not come."""
         if joints:
-            self.timing.add(JointInput(self.stamp, HOME.copy(), REST))
+            self.timing.add_reading(JointInput(self.stamp, HOME.copy(), REST))
         else:
-            self.timing.add(WrenchInput(self.stamp, self.wrench()))
-        action, inputs = self.timing.late(self.timing.due)
-        assert action is Action.HALF
+            self.timing.add_reading(WrenchInput(self.stamp, self.wrench()))
+        action, inputs = self.timing.decide_on_silence(self.timing.silence_deadline)
+        assert action is Action.STEP_BY_HALF
         self.k += 1
         return self.loop.step(inputs)
 
@@ -87,8 +87,8 @@ class Bench:
         """Let time pass until there is a tick without a sample."""
         action = Action.WAIT
         while action is Action.WAIT:
-            action, inputs = self.timing.late(self.timing.due)
-        assert action is Action.WITHOUT
+            action, inputs = self.timing.decide_on_silence(self.timing.silence_deadline)
+        assert action is Action.STEP_WITHOUT_SAMPLE
         return self.loop.step(inputs)
 
     def press(self, name, force):

@@ -10,7 +10,13 @@ PERIOD = 2_000_000  # ns
 STEP = PERIOD // 4  # ns, between two looks
 RESEND = 100 * PERIOD
 QUEUE = 10  # messages
-ANSWERED = (Action.STEP, Action.ANEW, Action.HALF, Action.WITHOUT, Action.REPEAT)
+ANSWERED = (
+    Action.STEP,
+    Action.STEP_ANEW,
+    Action.STEP_BY_HALF,
+    Action.STEP_WITHOUT_SAMPLE,
+    Action.REPEAT_TORQUE,
+)
 
 
 class Way:
@@ -64,9 +70,9 @@ class Exchange:
 
     def _control(self):
         for reading in self._samples.arrived(self._now):
-            self._timing.add(reading)
-            self._answer(self._timing.what_now(self._now))
-        self._answer(self._timing.late(self._now))
+            self._timing.add_reading(reading)
+            self._answer(self._timing.decide_on_message(self._now))
+        self._answer(self._timing.decide_on_silence(self._now))
 
     def _answer(self, decision):
         if decision.action in ANSWERED:

@@ -83,18 +83,24 @@ class Command(TyperCommand):
     """A command that lists what its options choose from, and names an error in one line."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """List the files that can be chosen by name."""
-        for each in self.params:
-            if folder := FOLDERS.get(each.name):
+        """List the files of ``config/`` that the command's options choose from by name."""
+        for parameter in self.params:
+            folder = FOLDERS.get(parameter.name)
+            if folder is not None:
                 with formatter.section(folder.capitalize()):
-                    formatter.write_dl([*options.described(folder).items()])
+                    formatter.write_dl(list(options.describe_files(folder).items()))
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
+        """
+        Run the command; an error of this package becomes a line, and an exit code.
+
+        The code is 2 if a value is not acceptable, which is named by its option, else 1. Other
+        exceptions are mistakes of ours and keep their traceback.
+        """
         try:
             return super().invoke(ctx)
         except ConfigError as error:
-            typer.echo(f'multicontact: {self._blame_options(ctx, error)}', err=True)
+            typer.echo(f'multicontact: {self._name_options(ctx, error)}', err=True)
             raise typer.Exit(options.EXIT_USAGE) from None
         except BrokenPipeError:  # what reads the output has ended
             raise
@@ -102,23 +108,24 @@ class Command(TyperCommand):
             typer.echo(f'multicontact: {error}', err=True)
             raise typer.Exit(options.EXIT_FAILED) from None
 
-    def _blame_options(self, ctx: Any, error: ConfigError) -> ConfigError:
+    def _name_options(self, ctx: Any, error: ConfigError) -> ConfigError:
         """Return an error whose fields are spelled as on the command line, where they were."""
-        names: dict[str, str] = {}
-        for each in self.params:
-            if options.is_given(ctx, each.name):
-                name = str(each.name)
-                spelled = (
-                    each.opts[0]
-                    if each.param_type_name == 'option'
-                    else str(each.metavar)
-                )
-                names |= dict.fromkeys(
-                    (name, name.removesuffix('s'), spelled.lower()), spelled
-                )
-        return ConfigError.of(
-            x if x.source else x.moved(names.get(x.field, '')) for x in error.errors
-        )
+        spellings: dict[str, str] = {}  # by the field of an error
+        for parameter in self.params:
+            name = str(parameter.name)
+            if not options.is_given(ctx, name):
+                continue
+            spelling = str(parameter.metavar)
+            if parameter.param_type_name == 'option':
+                spelling = parameter.opts[0]
+            for field in (name, name.removesuffix('s'), spelling.lower()):
+                spellings[field] = spelling
+        errors = []
+        for each in error.errors:
+            if not each.source:
+                each = each.as_config_error(spellings.get(each.field, ''))
+            errors.append(each)
+        return ConfigError.combine(errors)
 
 
 for function in COMMANDS:
@@ -141,11 +148,10 @@ app.add_typer(topic, name='topic')
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line, with one thread for linear algebra, and exit."""
     if sys.getfilesystemencoding() != 'utf-8' and os.environ.get('PYTHONUTF8') != '1':
-        os.environ['PYTHONUTF8'] = (
-            '1'  # start anew with UTF-8 in a locale of another encoding
-        )
+        # Start anew with UTF-8 in a locale of another encoding.
+        os.environ['PYTHONUTF8'] = '1'
         os.execv(sys.executable, sys.orig_argv)
     limit_threads()
     app(prog_name='multicontact')

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 import inspect
 from pathlib import Path
@@ -16,14 +16,16 @@ from multicontact_control.paths import find_config_folder
 import typer
 
 if TYPE_CHECKING:
-    from multicontact_control.runs.scenario import External, Setup
+    from multicontact_control.runs.scenario import Setup
 
-EXIT_FAILED, EXIT_USAGE, EXIT_SIGNAL = 1, 2, 128  # and the number of the signal
-SHORT = {
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_SIGNAL = 128  # and the number of the signal
+SHORTCUTS = {  # options that set one value of a file
     'noise_estimator': 'noise_estimator.estimator',
     'law': 'controller.force.law',
     'engine': 'plant.engine',
-}  # options that set one value of a file
+}
 
 Robot = Annotated[
     str,
@@ -54,13 +56,25 @@ Namespace = Annotated[
         help='Namespace of the graph; of a recording, the only one in it if not given.'
     ),
 ]
-
 Overwrite = Annotated[bool, typer.Option('--overwrite', help='Replace what is there.')]
 
 
 @dataclass(frozen=True)
+class PlaceOptions:
+    """Options of commands that meet a running graph, or start one: where it is, or is to be."""
+
+    domain_id: DomainId = None
+    namespace: Namespace = None
+
+
+@dataclass(frozen=True)
 class SetupOptions:
-    """Options of `run`, `simulate` and `view`: what is simulated."""
+    """
+    Options of `run`, `simulate` and `view`: which arm is simulated, and what it is to do.
+
+    Later ones are laid over earlier ones: the robot and its plant, the preset, the scenario, and
+    the values of ``--set``.
+    """
 
     robot: Robot = ''
     plant: Annotated[
@@ -97,40 +111,35 @@ class SetupOptions:
         typer.Option(help='Physics engine; that of the plant, pybullet, if not given.'),
     ] = None
 
-    def values(self) -> list[str]:
-        """Return all that is laid over the files, as for ``--set``."""
-        return [
-            *(
-                f'{key}={value}'
-                for name, key in SHORT.items()
-                if (value := getattr(self, name, ''))
-            ),
-            *(self.settings or ()),
-        ]
+    def list_settings(self) -> list[str]:
+        """Return all that is laid over the files, as for ``--set``, shortcuts before others."""
+        settings = []
+        for name, key in SHORTCUTS.items():
+            value = getattr(self, name, None)  # `view` has not all of them
+            if value is not None:
+                settings.append(f'{key}={value}')
+        if self.settings is not None:
+            settings += self.settings
+        return settings
 
     def setup(self, *, nodes: bool = False) -> Setup:
-        """Return the configuration, checked, with `nodes` of a graph; ConfigError."""
+        """
+        Return the configuration of a simulated arm, checked.
+
+        With `nodes` the settings may be those that only a node of the graph knows, too. Raises
+        ConfigError with every value that is not acceptable.
+        """
         from multicontact_control.runs.overrides import resolve_with
         from multicontact_control.runs.scenario import resolve
 
-        return resolve_with(
-            resolve,
-            {
-                'scenario': self.scenario,
-                'robot': self.robot,
-                'plant': self.plant,
-                'seed': self.seed,
-                'preset': self.preset,
-                'duration': getattr(self, 'duration', None),
-            },
-            self.values(),
-            nodes=nodes,
-        )
+        names = ('scenario', 'robot', 'plant', 'seed', 'preset', 'duration')
+        arguments = {name: getattr(self, name, None) for name in names}
+        return resolve_with(resolve, arguments, self.list_settings(), nodes=nodes)
 
 
 @dataclass(frozen=True)
 class RunOptions(SetupOptions):
-    """Options of `run` and `simulate`."""
+    """Options of `run` and `simulate`: how long it runs, how it is controlled, where it goes."""
 
     duration: Annotated[
         float | None,
@@ -162,56 +171,77 @@ class RunOptions(SetupOptions):
         typer.Option('--bare', help='The control law alone, without its supervisor.'),
     ] = False
 
-    def external(self, files: Sequence[Path], context: typer.Context) -> External:
-        """Return that of a robot behind the topics; scenario and preset count if given."""
+    def external(self, files: Sequence[Path], context: typer.Context) -> Setup:
+        """
+        Return the configuration of the robot behind the topics, checked.
+
+        `files` are the parameter files of its controller. Scenario and preset count if they were
+        given on the command line: their defaults are for the simulated arm. Raises ConfigError.
+        """
         from multicontact_control.runs.overrides import resolve_with
         from multicontact_control.runs.scenario import resolve_external
 
+        arguments: dict[str, Any] = {'files': files, 'duration': self.duration}
+        for name in ('scenario', 'preset'):
+            if is_given(context, name):
+                arguments[name] = getattr(self, name)
         return resolve_with(
-            resolve_external,
-            {
-                'files': files,
-                'duration': self.duration,
-                'scenario': self.scenario if is_given(context, 'scenario') else None,
-                'preset': self.preset if is_given(context, 'preset') else '',
-            },
-            self.values(),
-            nodes=True,
+            resolve_external, arguments, self.list_settings(), nodes=True
         )
 
 
-def flattened(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that has the fields of a dataclass parameter, `chosen`, as options."""
-    own = dict(inspect.signature(command, eval_str=True).parameters)
-    kind: Any = own.pop('chosen').annotation
-    parameters = {**inspect.signature(kind, eval_str=True).parameters, **own}
+def flatten_options(command: Callable[..., None]) -> Callable[..., None]:
+    """
+    Return a command in which the fields of dataclasses are options.
+
+    A parameter of the command whose type is a dataclass is replaced by the fields of that class,
+    in their order, so that typer sees them; the command gets an object made of them.
+    """
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        kind: Any = parameter.annotation
+        if isinstance(kind, type) and is_dataclass(kind):
+            groups[parameter.name] = kind
+            parameters += inspect.signature(kind, eval_str=True).parameters.values()
+        else:
+            parameters.append(parameter)
 
     @wraps(command)
     def flat(**values: Any) -> None:
-        chosen = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
-        command(chosen=chosen, **values)
+        for name, kind in groups.items():
+            of_group = {field.name: values.pop(field.name) for field in fields(kind)}
+            values[name] = kind(**of_group)
+        command(**values)
 
     flat.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [each.replace(kind=each.KEYWORD_ONLY) for each in parameters.values()]
+        [each.replace(kind=each.KEYWORD_ONLY) for each in parameters]
     )
-    flat.__annotations__ = {name: each.annotation for name, each in parameters.items()}
+    flat.__annotations__ = {each.name: each.annotation for each in parameters}
     return flat
 
 
-def described(folder: str) -> dict[str, str]:
-    """Return the names of the files in a folder of ``config/``, with the first line of each."""
+def describe_files(folder: str) -> dict[str, str]:
+    """
+    Return the names of the files in a folder of ``config/``, with the first line of each.
+
+    The line is a comment that says what the file is; a name has the inner folder, as in laws/pi.
+    """
     there = find_config_folder() / folder
-    files = {
-        path.relative_to(there).with_suffix('').as_posix(): path.read_text(
-            encoding='utf-8'
-        )
-        for path in sorted(there.rglob('*.yaml'))
-    }
-    return {name: text.partition('\n')[0].strip('# .') for name, text in files.items()}
+    descriptions = {}
+    for path in sorted(there.rglob('*.yaml')):
+        name = path.relative_to(there).with_suffix('').as_posix()
+        first_line = path.read_text(encoding='utf-8').partition('\n')[0]
+        descriptions[name] = first_line.strip('# .')
+    return descriptions
 
 
 def end_at_signals(text: str) -> None:
-    """Let SIGINT and SIGTERM end this process with a line."""
+    """
+    Let SIGINT and SIGTERM end this process with a line of text, and exit code 128 + n.
+
+    What is going on is left by SystemExit, so that contexts end and folders are put in order.
+    """
 
     def end(number: int, _frame: object) -> None:
         typer.echo(f'multicontact: {text}', err=True)
@@ -222,13 +252,17 @@ def end_at_signals(text: str) -> None:
 
 
 def is_given(context: typer.Context, name: str) -> bool:
-    """Return whether an option was given on the command line."""
+    """Return whether an option was given on the command line: not by default or environment."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == 'COMMANDLINE'
 
 
 def refuse_options(context: typer.Context, names: Sequence[str], where: str) -> None:
-    """Refuse options that have no meaning; ConfigError naming the first."""
+    """
+    Refuse options that have no meaning beside others; ConfigError naming the first that is given.
+
+    `where` completes the line, as in "leave it out with --external".
+    """
     for name in names:
         if is_given(context, name):
             raise ConfigError(name, hint=f'leave it out {where}')

@@ -52,7 +52,7 @@ def report(
     from multicontact_control.judging.verdict import describe_verdict
     from rich.console import Console
 
-    if all(map(is_finished_run, runs)):
+    if all(is_finished_run(path) for path in runs):
         options.refuse_options(
             context,
             ('controller', 'namespace'),
@@ -62,21 +62,16 @@ def report(
     paths = write_report(loaded, out or find_report_folder(runs[0]), claims=claims)
     for run in loaded:
         quality = run.summary.get('quality')  # which an older version did not write
-        for line in (
-            describe_verdict(run.summary),
-            quality,
-            *run.summary.get('remarks', ()),
-        ):
+        remarks = run.summary.get('remarks', ())
+        for line in (describe_verdict(run.summary), quality, *remarks):
             if line:
                 typer.echo(f'{run.folder}: {line}')
-        said = judge_claims_of_run(
+        judged = judge_claims_of_run(
             run.data, run.setup, run.summary, any_scenario=claims
         )
-        if said:
-            print_claims(
-                Console(highlight=False, soft_wrap=True),
-                [claim._asdict() for claim in said],
-            )
+        if judged:
+            console = Console(highlight=False, soft_wrap=True)
+            print_claims(console, [claim._asdict() for claim in judged])
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
 
 
@@ -99,10 +94,10 @@ def identify(
     motion, each with its standard error.
     """
     from multicontact_control.commissioning.contact_identification import (
+        describe_contacts,
         identify_contacts,
-        show,
     )
     from multicontact_control.judging.results import load
 
     loaded = load(run, controller or ())
-    typer.echo(show(identify_contacts(loaded.data, loaded.setup)))
+    typer.echo(describe_contacts(identify_contacts(loaded.data, loaded.setup)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,21 @@ from multicontact_control.errors import ConfigError
 import typer
 
 
+@dataclass(frozen=True)
+class RobotFileOptions:
+    """Options of `new-robot`: the files that it writes."""
+
+    out: Annotated[
+        Path | None,
+        typer.Option(help='Robot file to write; NAME.yaml of NAME.urdf if not given.'),
+    ] = None
+    controller: Annotated[
+        Path, typer.Option(help="Parameter file of the arm's controller to write.")
+    ] = Path('controller.yaml')
+    overwrite: options.Overwrite = False
+
+
+@options.flatten_options
 def new_robot(
     urdf: Annotated[Path, typer.Argument(metavar='URDF', help="The vendor's URDF.")],
     tip: Annotated[str, typer.Option(help='Link that touches.')],
@@ -20,13 +36,7 @@ def new_robot(
             help='Link that carries the wrist sensor; all beyond it is the tool.'
         ),
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help='Robot file to write; NAME.yaml of NAME.urdf if not given.'),
-    ] = None,
-    controller: Annotated[
-        Path, typer.Option(help="Parameter file of the arm's controller to write.")
-    ] = Path('controller.yaml'),
+    files: RobotFileOptions,
     lock: Annotated[
         list[str] | None,
         typer.Option(
@@ -35,7 +45,6 @@ def new_robot(
             'or gripper, and where it stays [rad or m]; may be repeated.',
         ),
     ] = None,
-    overwrite: options.Overwrite = False,
 ) -> None:
     """
     Write the files of a new robot from its URDF.
@@ -43,9 +52,12 @@ def new_robot(
     Prints what is yet to be added to them, and which command tries them. Joints, limits and masses
     are those of the URDF; home is a posture with the tool straight down, by inverse kinematics.
     """
-    target = out or Path(f'{urdf.stem}.yaml')
+    target = files.out
+    if target is None:
+        target = Path(f'{urdf.stem}.yaml')
+    controller = files.controller
     for name, path in (('out', target), ('controller', controller)):
-        if path.exists() and not overwrite:
+        if path.exists() and not files.overwrite:
             raise ConfigError(f'--{name}', 'a new file, or --overwrite', path)
     # Only now: bad input is refused before pinocchio is loaded.
     from sim_bridge.new_robot import new_robot as write
@@ -62,8 +74,23 @@ def new_robot(
     )
 
 
+@dataclass(frozen=True)
+class TiltOptions:
+    """Options of `calibrate`: how the tool is tilted to be weighed."""
+
+    tilt: Annotated[
+        float,
+        typer.Option(help='Tilt of the tool to each side [deg].', min=5.0, max=90.0),
+    ] = 25.0
+    move_time: Annotated[
+        float, typer.Option(help='Time from pose to pose [s].', min=0.1)
+    ] = 3.0
+
+
+@options.flatten_options
 def calibrate(
     context: typer.Context,
+    *,
     controller: options.ControllerFiles = None,
     from_bag: Annotated[
         Path | None,
@@ -73,15 +100,8 @@ def calibrate(
             'ft_sensor/wrench: 4 or more of 1.5 s that tilt the tool differently.',
         ),
     ] = None,
-    tilt: Annotated[
-        float,
-        typer.Option(help='Tilt of the tool to each side [deg].', min=5.0, max=90.0),
-    ] = 25.0,
-    move_time: Annotated[
-        float, typer.Option(help='Time from pose to pose [s].', min=0.1)
-    ] = 3.0,
-    domain_id: options.DomainId = None,
-    namespace: options.Namespace = None,
+    motion: TiltOptions,
+    place: options.PlaceOptions,
     out: Annotated[
         Path, typer.Option(help='Folder for tool.yaml, which is replaced.')
     ] = Path('.'),
@@ -100,32 +120,30 @@ def calibrate(
     if from_bag is None:
         result = weighing.weigh_running(
             files,
-            namespace=namespace or '',
-            domain_id=domain_id,
-            tilt=math.radians(tilt),
-            move_time=move_time,
+            namespace=place.namespace or '',
+            domain_id=place.domain_id,
+            tilt=math.radians(motion.tilt),
+            move_time=motion.move_time,
             tell=typer.echo,
         )
     else:
         options.refuse_options(
             context, ('tilt', 'move_time', 'domain_id'), 'with --from-bag'
         )
-        result = weighing.weigh_recording(from_bag, files, namespace, typer.echo)
+        result = weighing.weigh_recording(from_bag, files, place.namespace, typer.echo)
     path = weighing.write_tool(out, result)
-    typer.echo('\n'.join([*weighing.describe(result), f'written to {path}']))
+    typer.echo('\n'.join([*weighing.describe_tool(result), f'written to {path}']))
 
 
-def push_test(
-    domain_id: options.DomainId = None,
-    namespace: options.Namespace = None,
-) -> None:
+@options.flatten_options
+def push_test(place: options.PlaceOptions) -> None:
     """
     Prove sign, frame and scale of the wrist sensor by pushes.
 
     Starts the push test of the running controller and prints where to push the tool: with a spring
     balance, or, if it is simulated, on the page of `view --graph` or by the topic sim_node/push.
     """
-    from multicontact_control.commissioning.guided_push_test import push_running
+    from multicontact_control.commissioning.guided_push_test import lead_push_test
 
-    if not push_running(typer.echo, namespace or '', domain_id):
+    if not lead_push_test(typer.echo, place.namespace or '', place.domain_id):
         raise typer.Exit(options.EXIT_FAILED)

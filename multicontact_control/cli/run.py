@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TYPE_CHECKING
 
 from multicontact_control.cli import options
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.runs.graph.node_process import prepare_nodes
 import typer
+
+if TYPE_CHECKING:
+    from multicontact_control.runs.scenario import Setup
 
 OF_THE_PLANT = (
     'robot',
@@ -24,10 +29,10 @@ OF_THE_PLANT = (
 OF_THE_ARM = ('scenario', 'robot', 'plant', 'preset', 'settings')
 
 
-@options.flattened
-def run(
-    context: typer.Context,
-    chosen: options.RunOptions,
+@dataclass(frozen=True)
+class GraphOptions:
+    """Options of `run`: what is behind the topics, and how time passes."""
+
     commanded: Annotated[
         bool,
         typer.Option(
@@ -35,7 +40,7 @@ def run(
             help='The simulated arm obeys the command topics instead of a scenario. '
             'Ends after --duration, or with Ctrl-C.',
         ),
-    ] = False,
+    ] = False
     speed: Annotated[
         float,
         typer.Option(
@@ -44,7 +49,7 @@ def run(
             help='Largest real-time factor; 0 for as fast as it goes. The torques '
             'are those of `simulate`, bit for bit, at any speed.',
         ),
-    ] = 1.0,
+    ] = 1.0
     free_running: Annotated[
         bool,
         typer.Option(
@@ -52,7 +57,7 @@ def run(
             help='The simulated arm does not wait for commands, as a robot does; '
             'missed deadlines are counted.',
         ),
-    ] = False,
+    ] = False
     external: Annotated[
         bool,
         typer.Option(
@@ -60,10 +65,8 @@ def run(
             help='Your own robot or simulator is behind the topics; the controller '
             'obeys the command topics, or a --scenario. Needs --controller.',
         ),
-    ] = False,
-    controller: options.ControllerFiles = None,
-    domain_id: options.DomainId = None,
-    namespace: options.Namespace = None,
+    ] = False
+    controller: options.ControllerFiles = None
     realtime: Annotated[
         bool,
         typer.Option(
@@ -71,7 +74,15 @@ def run(
             help='Ask for SCHED_FIFO and locked memory for the controlling nodes, which '
             'warn of what is not granted.',
         ),
-    ] = False,
+    ] = False
+
+
+@options.flatten_options
+def run(
+    context: typer.Context,
+    chosen: options.RunOptions,
+    graph: GraphOptions,
+    place: options.PlaceOptions,
 ) -> None:
     """
     Run a scenario on the ROS 2 graph, and record it.
@@ -84,51 +95,63 @@ def run(
     """
     from multicontact_control.runs.graph.domain import check_namespace
 
-    namespace = check_namespace(namespace or '')
+    namespace = check_namespace(place.namespace or '')
     options.end_at_signals('interrupted')
     # The nodes' modules are loaded by another process, while this one loads its own.
     prepare_nodes()
-    robot = None
-    if external:
+    if graph.external:
         options.refuse_options(context, OF_THE_PLANT, 'with --external')
-        robot = chosen.external(controller or (), context)
-        setup = robot.setup
+        setup = chosen.external(graph.controller or (), context)
     else:
         options.refuse_options(context, ['controller'], 'without --external')
-        if commanded and any(x.startswith('scenario.') for x in chosen.settings or ()):
-            raise ConfigError(
-                '--set scenario',
-                hint='leave it out with --commanded, which plays '
-                'no scenario; --duration sets the length',
-            )
-        setup = chosen.setup(nodes=True)
-        if commanded:
-            setup = setup.commanded_over_topics()
+        setup = _simulated_setup(chosen, commanded=graph.commanded)
     # Only now: bad input is refused before the simulator is loaded.
     from multicontact_control.judging.judged_run import run_on_graph
-    from multicontact_control.judging.run_folders import open_run_folder
 
-    with open_run_folder(
-        chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
-    ) as folder:
+    with _results_folder(chosen, setup) as folder:
         summary, interrupted = run_on_graph(
             setup,
             folder,
-            endless=commanded and chosen.duration is None,
-            external=robot,
             supervised=not chosen.bare,
-            free_running=free_running,
-            speed=speed,
-            domain_id=domain_id,
+            free_running=graph.free_running,
+            speed=graph.speed,
+            domain_id=place.domain_id,
             namespace=namespace,
-            realtime=realtime,
+            realtime=graph.realtime,
         )
     if interrupted is not None:
         raise typer.Exit(options.EXIT_SIGNAL + interrupted)
     end_by_verdict(summary)
 
 
-@options.flattened
+def _simulated_setup(chosen: options.RunOptions, *, commanded: bool) -> Setup:
+    """Return the setup of a simulated arm, which obeys commands or plays its scenario."""
+    if not commanded:
+        return chosen.setup(nodes=True)
+    for setting in chosen.settings or ():
+        if setting.startswith('scenario.'):
+            raise ConfigError(
+                '--set scenario',
+                hint='leave it out with --commanded, which plays '
+                'no scenario; --duration sets the length',
+            )
+    setup = chosen.setup(nodes=True)
+    if chosen.duration is None:
+        return setup.commanded_over_topics()
+    return setup.commanded_over_topics(chosen.duration)
+
+
+def _results_folder(
+    chosen: options.RunOptions, setup: Setup
+) -> AbstractContextManager[Path]:
+    from multicontact_control.judging.run_folders import open_run_folder
+
+    return open_run_folder(
+        chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
+    )
+
+
+@options.flatten_options
 def simulate(chosen: options.RunOptions) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
@@ -139,45 +162,52 @@ def simulate(chosen: options.RunOptions) -> None:
     options.end_at_signals('interrupted; nothing of this run is kept')
     setup = chosen.setup()
     from multicontact_control.judging.judged_run import simulate_run
-    from multicontact_control.judging.run_folders import open_run_folder
 
-    with open_run_folder(
-        chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
-    ) as folder:
+    with _results_folder(chosen, setup) as folder:
         summary = simulate_run(setup, folder, supervised=not chosen.bare)
     end_by_verdict(summary)
 
 
 def end_by_verdict(summary: dict[str, Any] | None) -> None:
-    """Exit with 1 if there is no run, or it was judged and its loop is not known to be stable."""
+    """
+    Exit with 1 if there is no run, or it was judged and its loop is not known to be stable.
+
+    `summary` is that of the run's folder; None of a run that no report was made of.
+    """
     if summary is None or not (summary['stable'] or summary['unjudged']):
         raise typer.Exit(options.EXIT_FAILED)
 
 
-@options.flattened
-def view(
-    context: typer.Context,
-    chosen: options.SetupOptions,
+@dataclass(frozen=True)
+class PageOptions:
+    """Options of `view`: what the page shows, and where it is."""
+
     recording: Annotated[
         Path | None,
         typer.Argument(
             metavar='RUN', help='Folder of `run` or `simulate`, or a bag, to replay.'
         ),
-    ] = None,
+    ] = None
     graph: Annotated[
         bool,
         typer.Option(
             '--graph', help='Join the ROS 2 graph that runs, instead of starting one.'
         ),
-    ] = False,
-    namespace: options.Namespace = None,
-    domain_id: options.DomainId = None,
+    ] = False
     port: Annotated[
         int, typer.Option(help='Port, or the next one that is free.', min=1, max=65535)
-    ] = 8080,
-    open_browser: Annotated[
-        bool, typer.Option('--open', help='Open the browser.')
-    ] = False,
+    ] = 8080
+    open_browser: Annotated[bool, typer.Option('--open', help='Open the browser.')] = (
+        False
+    )
+
+
+@options.flatten_options
+def view(
+    context: typer.Context,
+    chosen: options.SetupOptions,
+    page: PageOptions,
+    place: options.PlaceOptions,
 ) -> None:
     """
     See and steer the arm and its contact forces in the browser.
@@ -187,6 +217,7 @@ def view(
     ends the page and that graph. Exit code 1: what was shown has ended by itself; 2: bad input, or
     viser is not installed.
     """
+    recording = page.recording
     if recording is not None:
         from multicontact_control.judging.run_folders import (
             find_run_folder,
@@ -198,19 +229,11 @@ def view(
             options.refuse_options(
                 context, OF_THE_ARM, 'with a run, which knows its own'
             )
-    setup = chosen.setup(nodes=not graph and recording is None)
+    starts_graph = not page.graph and recording is None
+    setup = chosen.setup(nodes=starts_graph)
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view
 
-    ended = run_view(
-        setup,
-        typer.echo,
-        recording=recording,
-        graph=graph,
-        namespace=namespace,
-        domain_id=domain_id,
-        port=port,
-        open_browser=open_browser,
-    )
+    ended = run_view(setup, typer.echo, **vars(page), **vars(place))
     if ended:
         raise RunError(ended)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from multicontact_control.choices import LawName
 from multicontact_control.cli import options
@@ -11,21 +14,18 @@ from multicontact_control.errors import ConfigError, run_all_checks
 import typer
 
 
-def study(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar='STUDY', help='One of the studies below, or a YAML file.'
-        ),
-    ],
-    robot: options.Robot = '',
+@dataclass(frozen=True)
+class ChoiceOptions:
+    """Options of `study`: which part of a study is run, and with what in the place of its own."""
+
+    robot: options.Robot = ''
     plants: Annotated[
         str,
         typer.Option(
             help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own "
             'if not given.'
         ),
-    ] = '',
+    ] = ''
     seeds: Annotated[
         int | None,
         typer.Option(
@@ -33,7 +33,7 @@ def study(
             help="How many seeds, from the study's first one on; the study's own if not "
             'given.',
         ),
-    ] = None,
+    ] = None
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -42,18 +42,24 @@ def study(
             help='Values, or labels, with commas between, of a '
             'factor of the study, or of a parameter that becomes one; may be repeated.',
         ),
-    ] = None,
+    ] = None
     law: Annotated[
         LawName | None,
         typer.Option(help='Force law whose gains the study `tune` tries.'),
-    ] = None,
+    ] = None
     quick: Annotated[
         bool,
         typer.Option('--quick', help='The reduced form of the study, with one seed.'),
-    ] = False,
+    ] = False
+
+
+@dataclass(frozen=True)
+class ExecutionOptions:
+    """Options of `study`: where it is computed, and where its results go."""
+
     jobs: Annotated[
         int, typer.Option(min=0, help='Jobs at once on this machine; 0 for every core.')
-    ] = 0,
+    ] = 0
     dask: Annotated[
         str,
         typer.Option(
@@ -61,21 +67,33 @@ def study(
             help='Run on the workers of this Dask scheduler instead, e.g. '
             'tcp://host:8786. They need this package in the same version.',
         ),
-    ] = '',
+    ] = ''
     out: Annotated[
         Path | None,
         typer.Option(
             help='Folder for the results, runs/<name of the study> if not given. What is finished '
             'there is not run again.'
         ),
-    ] = None,
+    ] = None
     dry_run: Annotated[
         bool,
         typer.Option(
             '--dry-run', help='List the factors, and how much of the study is finished.'
         ),
-    ] = False,
-    overwrite: options.Overwrite = False,
+    ] = False
+    overwrite: options.Overwrite = False
+
+
+@options.flatten_options
+def study(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar='STUDY', help='One of the studies below, or a YAML file.'
+        ),
+    ],
+    chosen: ChoiceOptions,
+    execution: ExecutionOptions,
 ) -> None:
     r"""
     Run a study: factors x plants x seeds, in one table.
@@ -102,27 +120,29 @@ def study(
     from multicontact_control.study.presets import make_study
     from multicontact_control.study.study import run_study
 
-    texts = [*([f'plant={plants}'] if plants else []), *(settings or ())]
+    texts = list(chosen.settings or ())
+    if chosen.plants:
+        texts.insert(0, f'plant={chosen.plants}')
     config, choices = run_all_checks(
-        lambda: files.read_study(name), lambda: files.read_choices(texts)
+        partial(files.read_study, name), partial(files.read_choices, texts)
     )
-    if law and config.kind != 'tune':
+    if chosen.law and config.kind != 'tune':
         raise ConfigError('--law', hint='leave it out: only the study tune has it')
+    robot = chosen.robot
     if robot and any('robot' in part.factors for part in config.parts.values()):
-        choices, robot = {'robot': [robot], **choices}, ''
-    first = config.seeds[0]
-    short = {'seed': [first], **config.quick} if quick else {}
-    if seeds:
-        short['seed'] = range(first, first + seeds)
-    one = make_study(
-        files.apply_choices(
-            config.model_copy(update={'law': law or ''}),
-            {**short, **choices},
-            robot=robot,
-        )
+        choices = {'robot': [robot], **choices}
+        robot = ''
+    first_seed = config.seeds[0]
+    shortened: dict[str, Sequence[Any]] = {}
+    if chosen.quick:
+        shortened = {'seed': [first_seed], **config.quick}
+    if chosen.seeds:
+        shortened['seed'] = range(first_seed, first_seed + chosen.seeds)
+    selected = files.apply_choices(
+        config.model_copy(update={'law': chosen.law or ''}),
+        {**shortened, **choices},
+        robot=robot,
     )
-    results = run_study(
-        one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite
-    )
+    results = run_study(make_study(selected), **vars(execution))
     if config.truth == 'safe' and results and not results.frame[config.truth].all():
         raise typer.Exit(options.EXIT_FAILED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from itertools import pairwise
 import os
@@ -58,19 +59,17 @@ def echo(
     domain_id: DomainId = None,
 ) -> None:
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
-    from multicontact_control.nodes import graph
     from multicontact_control.nodes.runtime import collect_stop_signals
 
     stop = collect_stop_signals()
     with _subscribed(topic, timeout, domain_id, stop) as (kind, subscription):
         document(kind(), field)  # refuses a wrong field before the first message
         while not stop:
-            if taken := graph.take_message(subscription):
-                print(document(taken[0], field), flush=True)
-                if once:
+            for message, _ in _take_waiting(subscription):
+                print(document(message, field), flush=True)
+                if once or stop:
                     return
-            else:
-                time.sleep(POLL_PERIOD)
+            time.sleep(POLL_PERIOD)
 
 
 def rate(
@@ -80,7 +79,6 @@ def rate(
     domain_id: DomainId = None,
 ) -> None:
     """Print how often messages of a topic arrive, a line each second, until Ctrl-C."""
-    from multicontact_control.nodes import graph
     from multicontact_control.nodes.runtime import collect_stop_signals
 
     stop = collect_stop_signals()
@@ -88,8 +86,8 @@ def rate(
         arrivals: list[int] = []  # ns; the last of a line begins the next
         due = time.monotonic() + LINE_PERIOD
         while not stop:
-            while taken := graph.take_message(subscription):
-                arrivals.append(taken[1]['received_timestamp'])
+            for _, known in _take_waiting(subscription):
+                arrivals.append(known['received_timestamp'])
             if time.monotonic() < due:
                 time.sleep(POLL_PERIOD)
                 continue
@@ -100,8 +98,19 @@ def rate(
             due += LINE_PERIOD
 
 
+def _take_waiting(subscription: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Return the messages that wait, each with what is known of it."""
+    from multicontact_control.nodes.graph import take_message
+
+    return iter(partial(take_message, subscription), None)
+
+
 def describe_rate(arrivals: Sequence[int]) -> str:
-    """Return how often messages have arrived, of the times when they did [ns], in words."""
+    """
+    Return how often messages have arrived, in words: rate, least and longest gap, deviation.
+
+    `arrivals` are the times when they did [ns], in their order.
+    """
     if len(arrivals) < 2:
         return 'no two messages within a second'
     apart = [1e-6 * (late - early) for early, late in pairwise(arrivals)]  # ms
@@ -126,7 +135,10 @@ def _subscribed(
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
     with ServiceClientNode(NODE, domain_id) as guest:
-        while not (publishers := guest.node.get_publishers_info_by_topic(name)):
+        while True:
+            publishers = guest.node.get_publishers_info_by_topic(name)
+            if publishers:
+                break
             if stop or time.monotonic() > end:
                 raise RunError(
                     f'{name}: expected a publisher within {timeout:g} s, got none '
@@ -141,32 +153,30 @@ def _subscribed(
                 f'{package}/msg/{kind}: this message type is not installed'
             ) from None
         offered = publishers[0].qos_profile
-        yield (
-            message,
-            guest.node.create_subscription(
-                message,
-                name,
-                graph.ignore_message,
-                QoSProfile(
-                    depth=DEPTH,
-                    reliability=offered.reliability,
-                    durability=offered.durability,
-                ),
-            ),
+        profile = QoSProfile(
+            depth=DEPTH,
+            reliability=offered.reliability,
+            durability=offered.durability,
         )
+        subscription = guest.node.create_subscription(
+            message, name, graph.ignore_message, profile
+        )
+        yield message, subscription
 
 
 def document(message: Any, field: str = '') -> str:
-    """Return a message, or a field of it by its dotted path, as YAML; ConfigError without one."""
+    """
+    Return a message, or a field of it by its dotted path, as YAML, as `ros2 topic` does.
+
+    An empty path stands for the whole message. Raises ConfigError if there is no such field.
+    """
     value = _plain(message)
-    for name in filter(None, field.split('.')):
-        known = list(value) if isinstance(value, dict) else []
-        if name not in known:
-            raise ConfigError(
-                '--field',
-                f'one of {", ".join(known) or "no further fields"}',
-                f"'{name}'",
-            )
+    while field:
+        name, _, field = field.partition('.')
+        if not isinstance(value, dict):
+            raise ConfigError('--field', 'one of no further fields', f"'{name}'")
+        if name not in value:
+            raise ConfigError('--field', f'one of {", ".join(value)}', f"'{name}'")
         value = value[name]
     text = yaml.safe_dump(value, allow_unicode=True, width=sys.maxsize, sort_keys=False)
     return text.removesuffix('...\n') + '---'
@@ -183,4 +193,6 @@ def _plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, list):
         return [_plain(item) for item in value]
-    return value.decode('latin-1') if isinstance(value, bytes) else value
+    if isinstance(value, bytes):
+        return value.decode('latin-1')
+    return value

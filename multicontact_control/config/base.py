@@ -21,7 +21,7 @@ from pydantic import (
 import yaml
 
 UNIT_NORM_TOLERANCE = 1e-3
-EVERY_NODE = '**'  # in the place of a node's name
+ANY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
 # What pydantic puts around what it expects: the way it came there, and what it got.
 PHRASES = re.compile(
@@ -32,7 +32,8 @@ MAPPING = 'a mapping of keys to values'
 KINDS = {'model_type': MAPPING, 'dict_type': MAPPING, 'tuple_type': 'a list of values'}
 
 
-def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+def _normalise(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return a vector of unit length but for rounding; ValueError for another."""
     norm = math.sqrt(sum(x * x for x in vector))
     if not abs(norm - 1.0) <= UNIT_NORM_TOLERANCE:
         raise ValueError(
@@ -48,7 +49,7 @@ Vector = tuple[float, ...]
 PositiveVector = tuple[Annotated[float, Field(gt=0.0)], ...]
 NonNegativeVector = tuple[Annotated[float, Field(ge=0.0)], ...]
 Vector3 = tuple[float, float, float]
-UnitVector3 = Annotated[Vector3, AfterValidator(_unit_length)]
+UnitVector3 = Annotated[Vector3, AfterValidator(_normalise)]
 
 
 def parameter(
@@ -74,7 +75,11 @@ def parameter(
 
 
 class Config(BaseModel):
-    """Base of every configuration: frozen; unknown keys, infinity and NaN are errors."""
+    """
+    Base of every configuration: a frozen model of declared parameters.
+
+    Unknown keys, infinity and NaN are errors, and so is what `_cross_field_errors` yields.
+    """
 
     model_config = ConfigDict(
         extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False
@@ -86,12 +91,12 @@ class Config(BaseModel):
 
     @model_validator(mode='after')
     def _check(self, info: ValidationInfo) -> Self:
-        """Let `validate` collect the misfits of all models; a constructor raises its own."""
+        """Let `validate` collect the errors of all models; a constructor raises its own."""
         errors = list(self._cross_field_errors())
         if info.context is not None:
             info.context.extend(errors)
         elif errors:
-            raise ConfigError.of(errors)
+            raise ConfigError.combine(errors)
         return self
 
 
@@ -104,21 +109,24 @@ def validate(
     ConfigError has a line for every field that is not acceptable, with the file name `source`.
     Checks across fields run where each field has a value of its kind.
     """
-    misfits: list[ConfigError] = []
+    cross_field_errors: list[ConfigError] = []
     try:
-        config = model.model_validate(values, context=misfits)
+        config = model.model_validate(values, context=cross_field_errors)
     except ValidationError as error:
-        fields = [
-            _field_error(detail, model) for detail in error.errors(include_url=False)
-        ]
-        raise ConfigError.of([*fields, *misfits], source) from None
-    if misfits:
-        raise ConfigError.of(misfits, source)
+        errors = []
+        for detail in error.errors(include_url=False):
+            errors.append(_field_error(detail, model))
+        errors += cross_field_errors
+        raise ConfigError.combine(errors, source) from None
+    if cross_field_errors:
+        raise ConfigError.combine(cross_field_errors, source)
     return config
 
 
 def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
-    location, kind = detail['loc'], detail['type']
+    """Return the error of a field that pydantic has found, with what it expects."""
+    location = detail['loc']
+    kind = detail['type']
     field = '.'.join(map(str, location)) or model.__name__
     if kind == 'extra_forbidden':
         return ConfigError(
@@ -133,17 +141,26 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
 
 
 def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
+    """Return the keys that are known where an unknown one stands."""
     for part in location[:-1]:  # fields, and keys or places among several models
         if part in model.model_fields:
-            model = model_in(model.model_fields[str(part)].annotation) or model
+            model = find_config_model(model.model_fields[str(part)].annotation) or model
     return ', '.join(model.model_fields)
 
 
-def model_in(kind: Any) -> type[Config] | None:
-    """Return the first configuration in a type, as that of the values of a mapping."""
+def find_config_model(kind: Any) -> type[Config] | None:
+    """
+    Return the first configuration in a type, e.g. that of the values of a mapping.
+
+    None if there is none in it.
+    """
     if isinstance(kind, type) and issubclass(kind, Config):
         return kind
-    return next(filter(None, map(model_in, get_args(kind))), None)
+    for inner_kind in get_args(kind):
+        model = find_config_model(inner_kind)
+        if model is not None:
+            return model
+    return None
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -162,43 +179,48 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def read_parameters(path: Path) -> dict[str, Any]:
     """Read a ROS 2 parameter file with one section; ConfigError for any other file."""
-    sections = dict(_sections(read_yaml(path)))
+    sections = dict(_node_sections(read_yaml(path)))
     if len(sections) != 1 or None in sections.values():
         raise ConfigError(
             str(path), "one node key holding 'ros__parameters'", [*sections]
         )
-    return next(iter(sections.values()))
+    (parameters,) = sections.values()
+    return parameters
 
 
-def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, Any]]:
+def _node_sections(
+    data: Mapping[str, Any], place: str = ''
+) -> Iterator[tuple[str, Any]]:
     """Yield full name and parameters of each node, in nested namespaces too; None for none."""
     for key, entry in data.items():
-        if isinstance(entry, dict) and entry and 'ros__parameters' not in entry:
-            yield from _sections(entry, f'{place}{key}/')
+        name = f'{place}{key}'
+        if not isinstance(entry, dict) or not entry:
+            yield name, None
+        elif 'ros__parameters' not in entry:
+            yield from _node_sections(entry, f'{name}/')
+        elif isinstance(entry['ros__parameters'], dict):
+            yield name, entry['ros__parameters']
         else:
-            parameters = (
-                entry['ros__parameters'] if isinstance(entry, dict) and entry else None
-            )
-            yield f'{place}{key}', parameters if isinstance(parameters, dict) else None
+            yield name, None
 
 
 def sets_parameter(path: Path, node: str, name: str) -> bool:
     """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
-    for section, parameters in _sections(read_yaml(path)):
-        concerned = section.rpartition('/')[2] in (node, EVERY_NODE, '*')
-        if concerned and parameters is not None and _holds(parameters, name):
+    for section, parameters in _node_sections(read_yaml(path)):
+        concerned = section.rpartition('/')[2] in (node, ANY_NODE, '*')
+        if concerned and _holds_parameter(parameters or {}, name):
             return True
     return False
 
 
-def _holds(parameters: Mapping[str, Any], name: str) -> bool:
+def _holds_parameter(parameters: Mapping[str, Any], name: str) -> bool:
     """Return whether nested parameters, whose names may be dotted, too, hold a dotted name."""
     if name in parameters:
         return True
     return any(
         isinstance(inner, Mapping)
         and name.startswith(f'{key}.')
-        and _holds(inner, name.removeprefix(f'{key}.'))
+        and _holds_parameter(inner, name.removeprefix(f'{key}.'))
         for key, inner in parameters.items()
     )
 
@@ -207,30 +229,39 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     """
     Read a ROS 2 parameter file with at most one section for each of some nodes.
 
-    Sections name a node with or without a namespace; `EVERY_NODE` stands for all nodes. Returns
+    Sections name a node with or without a namespace; `ANY_NODE` stands for all nodes. Returns
     the parameters by node; ConfigError for any other section, or two of one node.
     """
     by_node: dict[str, dict[str, Any]] = {}
-    for key, parameters in _sections(read_yaml(path)):
+    for key, parameters in _node_sections(read_yaml(path)):
         name = key.rpartition('/')[2]
-        if parameters is None or name not in nodes or name in by_node:
+        found = ''
+        if parameters is None:
+            found = 'none'
+        elif name in by_node:
+            found = f"'{name}' again"
+        elif name not in nodes:
+            found = name
+        if parameters is None or found:
             raise ConfigError(
                 f'{path}: {key}',
                 f"a section of {', '.join(nodes)} holding 'ros__parameters'",
-                'none'
-                if parameters is None
-                else f"'{name}' again"
-                if name in by_node
-                else name,
+                found,
             )
         by_node[name] = parameters
     return by_node
 
 
 def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `base` with the nested `overrides` laid over it."""
+    """
+    Return nested values with others laid over them.
+
+    Mappings are merged key by key; all else, also a list, takes the place of what was there.
+    """
     merged = dict(base)
     for key, value in overrides.items():
-        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        merged[key] = merge(merged[key], value) if both else value
+        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
     return merged

@@ -116,7 +116,11 @@ class ContactConfig(Config):
 
 
 class Column(NamedTuple):
-    """One controlled coordinate of a contact."""
+    """
+    One controlled coordinate of a contact, a column of N.
+
+    It is the normal force of its contact, or a couple that moves the centre of pressure.
+    """
 
     name: str
     contact: str  # name

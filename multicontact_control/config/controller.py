@@ -51,7 +51,12 @@ PER_JOINT = (
 
 
 class MotionConfig(Config):
-    """The PD motion law (P04 sec. 3.1, 5.2)."""
+    """
+    The PD motion law (P04 sec. 3.1, 5.2).
+
+    f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x), with k_p = omega_n^2 and
+    k_v = 2 zeta omega_n.
+    """
 
     natural_frequency: float = parameter(
         30.0,
@@ -103,7 +108,11 @@ class FrictionConfig(Config):
 
 
 class TransitionConfig(Config):
-    """Torque from one law to another: at a start, a stop and a live change."""
+    """
+    How the torque goes over from one law to another: at a start, a stop and a live change.
+
+    The difference of the torques fades by a quintic, over as long as both values ask for.
+    """
 
     blend_time: float = parameter(
         0.2,
@@ -126,7 +135,12 @@ class TransitionConfig(Config):
 
 
 class ControllerConfig(Config):
-    """Everything the controller needs to know."""
+    """
+    Everything the controller needs to know, as a parameter file says it.
+
+    Names, lists and frames belong together: what does not fit raises a ConfigError with a line for
+    each. Contacts and their couples have a fixed order, that of `columns`, in every vector.
+    """
 
     rate: float = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
     robot: RobotConfig
@@ -190,19 +204,20 @@ class ControllerConfig(Config):
             )
         else:
             yield from self._force_law_errors()
-        momentum = self.wrench_input == 'momentum'
-        if momentum == bool(self.robot.sensor_frame):
+        without_sensor = self.wrench_input == 'momentum'
+        if without_sensor == bool(self.robot.sensor_frame):
             yield ConfigError(
                 'robot.sensor_frame',
                 'a link of the robot with a wrist sensor, and '
                 'empty with wrench_input momentum',
                 f"'{self.robot.sensor_frame}'",
             )
-        if momentum and self.sensor.require_push_test:
+        if without_sensor and self.sensor.require_push_test:
             yield ConfigError(
                 'sensor.require_push_test', 'false without a wrist sensor', True
             )
-        bounds, initial = self.noise_variance, self.initial_noise_variance
+        bounds = self.noise_variance
+        initial = self.initial_noise_variance
         if not bounds.smallest <= initial <= bounds.largest:
             yield ConfigError(
                 'initial_noise_variance',
@@ -212,40 +227,34 @@ class ControllerConfig(Config):
         yield from self._delay_errors()
 
     def _force_law_errors(self) -> Iterator[ConfigError]:
-        force, adaptive = self.force, self.force.stiffness == 'adaptive'
-        others = sorted({self.law_of(name) for name in self.contact_names} - {'aob'})
-        # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
-        decoupled = [f'the law {law}' for law in others] + [
-            'adaptive stiffness'
-        ] * adaptive
+        """Yield an error for each choice of the force laws that others rule out."""
+        force = self.force
+        adaptive = force.stiffness == 'adaptive'
+        laws = {self.force_law_of(name) for name in self.contact_names}
+        other_laws = sorted(laws - {'aob'})
         for name in self.contact_names:
             contact = self.contacts[name]
-            decoupled += [f'the {contact.type} {name}'] * (contact.type != 'point')
-            decoupled += [
-                f'contacts.{name}.{field}'
-                for field in ('surface_speed', 'surface_speed_limit')
-                if getattr(contact, field)
-            ]
             if contact.normal_turn_rate and not contact.friction_std:
                 yield ConfigError(
                     f'contacts.{name}.friction_std',
                     'above 0 N with normal_turn_rate',
                     0.0,
                 )
-            if contact.surface_speed_limit and self.law_of(name) != 'aob':
+            if contact.surface_speed_limit and self.force_law_of(name) != 'aob':
                 # The estimate takes the rate of the force from the observer.
                 yield ConfigError(
                     f'contacts.{name}.surface_speed_limit',
                     '0 m/s unless force.law is aob',
                     contact.surface_speed_limit,
                 )
-        if decoupled and force.allocation != 'decoupled':
+        need_decoupling = list(self._needs_of_decoupling(other_laws))
+        if need_decoupling and force.allocation != 'decoupled':
             yield ConfigError(
                 'force.allocation',
-                f'decoupled with {", ".join(decoupled)}',
+                f'decoupled with {", ".join(need_decoupling)}',
                 force.allocation,
             )
-        if adaptive and (others or not force.active_state_order):
+        if adaptive and (other_laws or not force.active_state_order):
             yield ConfigError(
                 'force.stiffness',
                 'configured unless every law is aob, with an active state',
@@ -256,8 +265,25 @@ class ControllerConfig(Config):
                 'force.damping_rate', 'above 0 with adaptive stiffness', 0.0
             )
 
+    def _needs_of_decoupling(self, other_laws: list[LawName]) -> Iterator[str]:
+        """Yield all that needs contacts that move no other one, unlike N alpha* (P04 eq. 30)."""
+        for law in other_laws:
+            yield f'the law {law}'
+        if self.force.stiffness == 'adaptive':
+            yield 'adaptive stiffness'
+        for name in self.contact_names:
+            contact = self.contacts[name]
+            if contact.type != 'point':
+                yield f'the {contact.type} {name}'
+            if contact.surface_speed:
+                yield f'contacts.{name}.surface_speed'
+            if contact.surface_speed_limit:
+                yield f'contacts.{name}.surface_speed_limit'
+
     def _delay_errors(self) -> Iterator[ConfigError]:
-        sensor, nyquist = self.sensor, 0.5 * self.rate
+        """Yield an error for a low-pass beyond half the rate, or a delay that no model has."""
+        sensor = self.sensor
+        nyquist = 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
             yield ConfigError(
                 'sensor.filter_cutoff',
@@ -280,62 +306,81 @@ class ControllerConfig(Config):
     @property
     def measuring_delay(self) -> float:
         """Delay of the low-pass of the wrench and, by momentum, of its observer [s]."""
-        observed = (
-            1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
-        )
-        return self.sensor.filter_delay(self.rate) + observed
+        delay = self.sensor.filter_delay(self.rate)
+        if self.wrench_input == 'momentum':
+            delay += 1.0 / self.momentum_bandwidth
+        return delay
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Return the controlled coordinates of all contacts, in the order of every vector."""
+        """
+        Return the controlled coordinates of all contacts, in the order of every vector.
+
+        A point has one, its normal force; an edge has a couple more, a plane two.
+        """
         columns: list[Column] = []
         for name in self.contact_names:
-            contact, leader = self.contacts[name], len(columns)
-            halves = (0.0, contact.half_length, contact.half_width)
-            couple = contact.couple_stiffness or 1.0 / 3.0 * contact.stiffness
-            columns += [
-                Column(
-                    name=name + SUFFIXES[kind],
-                    contact=name,
-                    kind=kind,
-                    leader=leader,
-                    stiffness=contact.stiffness if kind == FORCE else couple,
-                    half_length=halves[kind],
+            contact = self.contacts[name]
+            couple_stiffness = contact.couple_stiffness or 1.0 / 3.0 * contact.stiffness
+            half_lengths = (0.0, contact.half_length, contact.half_width)
+            leader = len(columns)
+            for kind in KINDS[contact.type]:
+                stiffness = couple_stiffness
+                if kind == FORCE:
+                    stiffness = contact.stiffness
+                columns.append(
+                    Column(
+                        name=name + SUFFIXES[kind],
+                        contact=name,
+                        kind=kind,
+                        leader=leader,
+                        stiffness=stiffness,
+                        half_length=half_lengths[kind],
+                    )
                 )
-                for kind in KINDS[contact.type]
-            ]
         return tuple(columns)
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Return the names of the controlled coordinates; of points, those of the contacts."""
+        """
+        Return the names of the controlled coordinates, in their order.
+
+        That of a normal force is the name of its contact; couples have a suffix, ``blade/along``.
+        """
         return tuple(column.name for column in self.columns)
 
     @property
-    def leader_of(self) -> tuple[int, ...]:
-        """Return for each column the index of the normal force of its contact."""
+    def leading_columns(self) -> tuple[int, ...]:
+        """Return for each column the index of the column with the normal force of its contact."""
         return tuple(column.leader for column in self.columns)
 
     @property
-    def leaders(self) -> tuple[int, ...]:
-        """Return the indices of the normal forces, one per contact."""
+    def force_columns(self) -> tuple[int, ...]:
+        """Return the indices of the columns that are normal forces, one per contact."""
         return tuple(i for i, column in enumerate(self.columns) if column.kind == FORCE)
 
-    def law_of(self, contact: str) -> LawName:
-        """Return the name of a contact's force law."""
-        return self.contacts[contact].law or self.force.law
+    def force_law_of(self, contact: str) -> LawName:
+        """Return the name of the law that controls a contact: its own, or else `force.law`."""
+        own_law = self.contacts[contact].law
+        return own_law or self.force.law
 
     @property
     def momentum_bandwidth(self) -> float:
-        """Bandwidth of the momentum observer, which the rate bounds [1/s]."""
+        """
+        Return the bandwidth K of the momentum observer [1/s].
+
+        The rate bounds it: a residual is a mean over some samples.
+        """
         return min(self.collision.bandwidth, FASTEST_MOMENTUM * self.rate)
 
     @property
     def wrench_series(self) -> str:
         """Return the name of the wrench that feeds the loop, in samples and recordings."""
-        return 'wrench' if self.wrench_input == 'raw' else 'wrench_filtered'
+        if self.wrench_input == 'raw':
+            return 'wrench'
+        return 'wrench_filtered'
 
     @property
     def period(self) -> float:
-        """Control period h [s]."""
+        """Return the control period h, of which delays and ages are multiples [s]."""
         return 1.0 / self.rate

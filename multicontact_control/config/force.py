@@ -13,7 +13,11 @@ FedForward = Literal['estimate', 'desired', 'mixed', 'measured']
 
 
 class PiConfig(Config):
-    """The law `pi`: u = K_p e + K_i int e dt, with K_p = bandwidth K_2 / k."""
+    """
+    The law `pi`: u = K_p e + K_i int e dt of the force error e, with K_p = bandwidth K_2 / k.
+
+    The stiffness k and the damping K_2 are those of the loop that it closes.
+    """
 
     bandwidth: float = parameter(
         24.0,
@@ -36,7 +40,11 @@ class PiConfig(Config):
 
 
 class DobConfig(Config):
-    """The law `dob`: a disturbance observer with a filter Q of second order."""
+    """
+    The law `dob`: a disturbance observer with a filter Q of second order.
+
+    What the modelled plant does not explain of the force is taken off the input.
+    """
 
     observer_bandwidth: float = parameter(
         40.0, 'Double pole of Q.', unit='rad/s', live=True, gt=0.0, le=1000.0
@@ -52,7 +60,11 @@ class DobConfig(Config):
 
 
 class LqgConfig(Config):
-    """The law `lqg`: a steady Kalman filter with a disturbance state, and an LQ regulator."""
+    """
+    The law `lqg`: a steady Kalman filter with a disturbance state, and an LQ regulator.
+
+    It has the model of the active observer, but constant gains.
+    """
 
     noise_variance: float = parameter(
         2.0, 'R of the steady filter.', unit='N^2', live=True, gt=0.0
@@ -66,7 +78,11 @@ class LqgConfig(Config):
 
 
 class AdmittanceConfig(Config):
-    """The law `admittance`: a virtual mass and damper turn force errors into speed."""
+    """
+    The law `admittance`: a virtual mass and damper turn force errors into speed.
+
+    M dv/dt = e - D v; an integral of the error is added to v.
+    """
 
     bandwidth: float = parameter(
         25.0, 'k over the virtual damping.', unit='rad/s', live=True, gt=0.0, le=500.0
@@ -103,7 +119,11 @@ class ImpedanceConfig(Config):
 
 
 class AdaptiveStiffnessConfig(Config):
-    """The stiffness that the observers' model follows, with `force.stiffness: adaptive`."""
+    """
+    The stiffness that the observers' model follows, with `force.stiffness: adaptive`.
+
+    It begins at the highest at each touch, which is the safe side, and follows the estimate.
+    """
 
     lowest: float = parameter(
         200.0, 'Smallest stiffness of the model.', unit='N/m', gt=0.0
@@ -122,7 +142,12 @@ class AdaptiveStiffnessConfig(Config):
 
 
 class ForceConfig(Config):
-    """The force law and its active observer, one per contact (P04 sec. 3.2, 4)."""
+    """
+    The force law and its active observer, one per contact (P04 sec. 3.2, 4).
+
+    The loop has a dominant pole at 1 / time_constant; its observer estimates the force, its rate
+    and an active state, with R from the noise estimator.
+    """
 
     law: LawName = parameter(
         'aob', 'Force law: the active observer, or one to compare it with.', live=True
@@ -185,7 +210,7 @@ class ForceConfig(Config):
 
 
 class VarianceBoundsConfig(Config):
-    """What every R lies between: of the estimator, and of the observers it comes to."""
+    """What every noise variance R lies between, in the estimator and in the observers."""
 
     smallest: float = parameter(
         0.1,
@@ -210,7 +235,11 @@ class VarianceBoundsConfig(Config):
 
 
 class NoiseEstimatorConfig(Config):
-    """The on-line estimate of R_k (P04 sec. 4.2)."""
+    """
+    The on-line estimate of the variance R_k of each force (P04 sec. 4.2).
+
+    It has a node of its own; contacts, rate and bounds are those of the controller.
+    """
 
     estimator: EstimatorName = parameter(
         'lead_window',

@@ -10,7 +10,11 @@ from multicontact_control.errors import ConfigError, format_count
 
 
 class RobotConfig(Config):
-    """The robot's model, and the names of its joints and frames."""
+    """
+    The robot's model, and the names of its joints and frames.
+
+    Joint vectors have the order of `joint_names`; the model is that of the URDF, with rotors.
+    """
 
     urdf: str = parameter(
         ...,
@@ -52,7 +56,8 @@ class RobotConfig(Config):
     )
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
-        count, positions = len(self.locked_joints), len(self.locked_positions)
+        count = len(self.locked_joints)
+        positions = len(self.locked_positions)
         if positions not in (0, count):
             yield ConfigError(
                 'robot.locked_positions',
@@ -62,13 +67,17 @@ class RobotConfig(Config):
 
     @property
     def locked(self) -> dict[str, float]:
-        """Return the positions of the locked joints by name [rad or m]."""
+        """Return the positions of the locked joints by name, 0 where none is given [rad or m]."""
         positions = self.locked_positions or (0.0,) * len(self.locked_joints)
         return dict(zip(self.locked_joints, positions))
 
 
 class ToolConfig(Config):
-    """The load of the wrist sensor, whose weight is subtracted from the readings."""
+    """
+    The load of the wrist sensor, whose weight is subtracted from the readings.
+
+    It hangs beyond the sensor; the URDF of the arm has it, too. `multicontact calibrate` finds it.
+    """
 
     mass: float = parameter(
         0.0, 'Mass beyond the sensor.', unit='kg', live=True, ge=0.0
@@ -87,7 +96,11 @@ class ToolConfig(Config):
 
 
 class SensorFrontEndConfig(Config):
-    """The wrist sensor: its low-pass, its noise, and its faults."""
+    """
+    The wrist sensor: its low-pass, its noise, and what counts as a fault of it.
+
+    The noise weighs a reading where friction is allowed for.
+    """
 
     filter_order: int = parameter(
         0,
@@ -142,7 +155,9 @@ class SensorFrontEndConfig(Config):
         if self.filter_order == 0:
             return 0.0
         samples = 1.0 / math.tan(math.pi * self.filter_cutoff / rate)
-        return samples / ((2.0 if self.filter_order == 1 else math.sqrt(2.0)) * rate)
+        if self.filter_order == 1:
+            return samples / (2.0 * rate)
+        return samples / (math.sqrt(2.0) * rate)
 
     def noise_share(self, rate: float) -> float:
         """

@@ -8,9 +8,16 @@ from typing import Literal
 from multicontact_control.config.base import Config, parameter, PositiveVector, Vector
 from multicontact_control.errors import ConfigError
 
+RELEASE_FORCE = 0.5  # N, measured force below which a contact may be lost
+
 
 class ContactStateConfig(Config):
-    """Thresholds of the contact states, and the search for surfaces."""
+    """
+    Thresholds of the contact states, and the search for surfaces.
+
+    A contact is sought at a bounded speed, is touched by a change of force, holds, may be lost and
+    is given up after a distance.
+    """
 
     approach_speed: float = parameter(
         0.02,
@@ -33,14 +40,7 @@ class ContactStateConfig(Config):
         1.5,
         'Change of the measured force since the approach began that counts as touch.',
         unit='N',
-        gt=0.0,
-        le=100.0,
-    )
-    release_threshold: float = parameter(
-        0.5,
-        'Measured force below which a contact may be lost.',
-        unit='N',
-        ge=0.0,
+        gt=RELEASE_FORCE,
         le=100.0,
     )
     retry_time: float = parameter(
@@ -69,12 +69,12 @@ class ContactStateConfig(Config):
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
         for lower, upper in (
-            ('release_threshold', 'contact_threshold'),
             ('preload', 'force_ceiling'),
             ('contact_threshold', 'smallest_force'),
             ('contact_threshold', 'force_ceiling'),
         ):
-            small, large = getattr(self, lower), getattr(self, upper)
+            small = getattr(self, lower)
+            large = getattr(self, upper)
             if not small < large:
                 yield ConfigError(
                     f'contact_state.{lower}',
@@ -84,7 +84,11 @@ class ContactStateConfig(Config):
 
 
 class LimitsConfig(Config):
-    """Limits of commands and of motion; an empty list is no limit."""
+    """
+    Limits of commands and of motion; an empty list is no limit.
+
+    Torques are kept within them in every tick; a motion that exceeds them is refused or bounded.
+    """
 
     joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
     joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
@@ -125,10 +129,8 @@ class LimitsConfig(Config):
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
         for kind in ('joint', 'workspace'):
-            lower, upper = (
-                getattr(self, f'{kind}_lower'),
-                getattr(self, f'{kind}_upper'),
-            )
+            lower = getattr(self, f'{kind}_lower')
+            upper = getattr(self, f'{kind}_upper')
             if len(lower) != len(upper) or any(a >= b for a, b in zip(lower, upper)):
                 yield ConfigError(
                     f'limits.{kind}_lower',
@@ -186,7 +188,11 @@ class CollisionConfig(Config):
 
 
 class WatchdogConfig(Config):
-    """Limits of valid inputs, and the reactions beyond them."""
+    """
+    Limits of valid inputs, and how control resumes after they were exceeded.
+
+    Ages are counted in control periods; beyond them a declared reaction takes over.
+    """
 
     joint_max_age: float = parameter(
         1.5, 'Largest age of a joint state.', unit='periods', ge=1.0, le=1000.0

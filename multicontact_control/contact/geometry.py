@@ -15,12 +15,11 @@ from multicontact_control.records import Contact, Records
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-SMALLEST_SINGULAR_VALUE = (
-    1e-6  # of N with points of length 1; below it columns are dependent
-)
+# Of N with points of length 1; columns are dependent below it.
+SMALLEST_SINGULAR_VALUE = 1e-6
 LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
 NORMAL_TIME = (
-    0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
+    0.06  # s, in which an estimated normal turns; 0.03 s swings where it is rough
 )
 SURFACE_SPEED_TIME = 0.05  # s, time constant of an estimated speed of a surface
 ORIENTATIONS = Rotation.from_rotvec(
@@ -40,15 +39,14 @@ def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
     operational frame as columns.
     """
     for i in range(contacts.shape[0]):
-        contact, config = contacts[i], contacts[i].config
+        contact = contacts[i]
+        config = contact.config
         if config.kind == FORCE:
             contact.N[:3] = contact.normal
             contact.N[3:] = cross(rotate_vector(rotation, config.point), contact.normal)
             continue
-        normal, direction = (
-            contacts[config.leader].normal,
-            rotate_vector(rotation, config.direction),
-        )
+        normal = contacts[config.leader].normal
+        direction = rotate_vector(rotation, config.direction)
         contact.N[:3] = 0.0
         if config.kind == ACROSS:
             contact.N[3:] = component_across(direction, normal)
@@ -59,9 +57,8 @@ def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
 
 def normal_space(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:
     """Fill in and return N of records of `CONTACT`, world axes, shape (6, r) (P04 eq. 5)."""
-    fill_normal_space(
-        contacts, np.array(rotation_world)
-    )  # what is read-only is another type
+    # A copy: a read-only array would be another type, and compiled anew.
+    fill_normal_space(contacts, np.array(rotation_world))
     N: Matrix = contacts['N'].T.copy()
     return N
 
@@ -82,19 +79,16 @@ def check_columns(names: Sequence[str], contacts: Records[Contact]) -> None:
     copies = contacts.copy()
     reach = max(float(np.abs(contacts['config']['point']).max()), 1e-3)
     units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
-    if not any(
-        np.linalg.matrix_rank(
-            normal_space(copies, turn) * units[:, None], SMALLEST_SINGULAR_VALUE
-        )
-        == len(contacts)
-        for turn in ORIENTATIONS
-    ):
-        raise ConfigError(
-            'contacts',
-            'forces none of which the others could have made (independent columns of '
-            'N, P04 eq. 5)',
-            f'{", ".join(names)}, which depend on each other',
-        )
+    for rotation in ORIENTATIONS:
+        N = normal_space(copies, rotation) * units[:, None]
+        if np.linalg.matrix_rank(N, SMALLEST_SINGULAR_VALUE) == len(contacts):
+            return
+    raise ConfigError(
+        'contacts',
+        'forces none of which the others could have made (independent columns of '
+        'N, P04 eq. 5)',
+        f'{", ".join(names)}, which depend on each other',
+    )
 
 
 def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:
@@ -110,12 +104,10 @@ def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Mat
         if contact['config']['kind'] != FORCE:
             continue
         across_normal = np.eye(3) - np.outer(contact['normal'], contact['normal'])
-        moments = np.cross(
-            rotation_world @ contact['config']['point'], across_normal.T
-        ).T
-        coupling[:, j] = np.linalg.norm(
-            N_inverse @ np.vstack([across_normal, moments]), axis=1
-        )
+        point = rotation_world @ contact['config']['point']
+        moments = np.cross(point, across_normal.T).T
+        readings = N_inverse @ np.vstack([across_normal, moments])
+        coupling[:, j] = np.linalg.norm(readings, axis=1)
     return coupling
 
 
@@ -136,24 +128,26 @@ def project_on_contacts(way: Vector, columns: Matrix) -> Vector:
     """
     placed = np.zeros(6)
     forces = columns[:, :3].any(axis=1)
-    for part, directions in (
-        (slice(0, 3), columns[forces, :3].T),
-        (slice(3, 6), columns[~forces, 3:].T),
-    ):
-        placed[part] = directions @ (np.linalg.pinv(directions) @ way[part])
+    normals = columns[forces, :3].T
+    axes = columns[~forces, 3:].T
+    placed[:3] = normals @ (np.linalg.pinv(normals) @ way[:3])
+    placed[3:] = axes @ (np.linalg.pinv(axes) @ way[3:])
     return placed
 
 
 def configure_contacts(config: ControllerConfig, columns: Records[Contact]) -> None:
     """Fill records of `CONTACT`, shape (r,), with the configuration of the columns of N."""
     for record, column in zip(columns, config.columns):
-        known, contact = record['config'], config.contacts[column.contact]
+        known = record['config']
+        contact = config.contacts[column.contact]
         is_force = column.kind == FORCE
-        known['kind'], known['leader'] = column.kind, column.leader
+        known['kind'] = column.kind
+        known['leader'] = column.leader
         normal = contact.normal_world if is_force else (0.0, 0.0, 0.0)
         # A normal that has been estimated is kept while its configuration is.
         if (known['normal'] != normal).any() or not contact.normal_turn_rate:
-            record['normal'] = known['normal'] = normal
+            record['normal'] = normal
+            known['normal'] = normal
         known['normal_gain'] = config.period / (NORMAL_TIME + config.period)
         known['turn_limit'] = contact.normal_turn_rate * config.period
         known['smallest_cosine'] = math.cos(contact.normal_range)
@@ -164,17 +158,16 @@ def configure_contacts(config: ControllerConfig, columns: Records[Contact]) -> N
         if is_force:
             known['surface_speed'] = contact.surface_speed
             known['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
-            limit = known['surface_speed_limit'] = contact.surface_speed_limit
+            limit = contact.surface_speed_limit
+            known['surface_speed_limit'] = limit
             record['surface_speed_est'] = np.clip(
                 record['surface_speed_est'], -limit, limit
             )
             known['friction_coefficient'] = contact.friction_coefficient
             known['friction_std'] = contact.friction_std
-            known['torsion_std'] = (
-                0.0
-                if contact.type == 'point'
-                else (contact.friction_std * contact.half_length)
-            )
+            # A point bears no torque about its normal.
+            lever = 0.0 if contact.type == 'point' else contact.half_length
+            known['torsion_std'] = contact.friction_std * lever
 
 
 def find_misread_friction(
@@ -189,16 +182,16 @@ def find_misread_friction(
     that the friction is read as, and how much of that 1 N is [N].
     """
     coupling = friction_coupling(columns.copy(), rotation_world)
-    names, contacts = config.column_names, config.contacts
-    return [
-        (names[j], names[i], float(coupling[i, j]))
-        for j in config.leaders
-        for i in range(len(names))
-        if coupling[i, j] > LEVERED
-        and not (
-            contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient
-        )
-    ]
+    names = config.column_names
+    misread = []
+    for j in config.force_columns:
+        contact = config.contacts[names[j]]
+        if contact.friction_std or contact.friction_coefficient:
+            continue
+        for name, reading in zip(names, coupling[:, j].tolist()):
+            if reading > LEVERED:
+                misread.append((names[j], name, reading))
+    return misread
 
 
 def offset_shares(
@@ -216,11 +209,10 @@ def offset_shares(
     }
     for name, centre in centres.items():
         if name not in halves or not math.isfinite(centre):
+            expected = 'an edge or plane'
+            if halves:
+                expected = f'a finite one of {", ".join(halves)}'
             raise CommandError(
-                'centre of pressure',
-                f'a finite one of {", ".join(halves)}'
-                if halves
-                else 'an edge or plane',
-                f"'{name}': {centre:g} m",
+                'centre of pressure', expected, f"'{name}': {centre:g} m"
             )
     return {name: centre / halves[name] for name, centre in centres.items()}

@@ -19,7 +19,7 @@ from multicontact_control.records import Contact, Records
 
 # A normal counts as dependent when the others leave less than this share of its square: what is
 # left of it multiplies the sensor's noise by more than 1000.
-SMALLEST_PIVOT = 1e-6
+SMALLEST_NORMAL_PIVOT = 1e-6
 
 
 @compiled
@@ -47,7 +47,7 @@ def factorise_contacts(
             factor[i, j] = total
         if not (everyone or contacts[i].answer.active):
             factor[i, i] = 1.0
-    return cholesky(factor, factor, SMALLEST_PIVOT)
+    return cholesky(factor, factor, SMALLEST_NORMAL_PIVOT)
 
 
 @compiled

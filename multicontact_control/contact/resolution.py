@@ -22,7 +22,7 @@ TURNS = np.concatenate(
 
 
 class Resolution(NamedTuple):
-    """How well a column of N is told from the others."""
+    """How well a column of N is told from the others: its noise against a parameter."""
 
     name: str
     noise: float  # standard deviation of its force or couple [N]
@@ -35,7 +35,7 @@ class Resolution(NamedTuple):
         return SPREAD * self.noise <= self.bound
 
     def __str__(self) -> str:
-        """Return its name and noise."""
+        """Return name and noise, as a message lists them."""
         return f'{self.name} {self.noise:.3g} N'
 
 
@@ -58,10 +58,12 @@ def force_noise(
         Standard deviation of each axis of the sensor, force first, shape (6,) [N, N m].
 
     """
-    controls, contacts = controls.copy(), contacts.copy()
+    controls = controls.copy()
+    contacts = contacts.copy()
     controls['tool'] = 0
     controls['frame']['twist'] = 0.0
-    variances, space = np.zeros(len(contacts)), np.zeros(1, dtype=CONTACT_SPACE)
+    variances = np.zeros(len(contacts))
+    space = np.zeros(1, dtype=CONTACT_SPACE)
     for axis, deviation in enumerate(readings):
         controls['wrench'] = deviation * (np.arange(6) == axis)
         if not measure_contacts(controls[0], contacts, space[0]):
@@ -80,16 +82,15 @@ def resolutions(
 
     A force must not seem to be a touch by chance, a couple not to lift an end of its contact.
     """
-    sensor, state = config.sensor, config.contact_state
+    sensor = config.sensor
     readings = np.repeat([sensor.force_noise_std, sensor.torque_noise_std], 3)
     noise = force_noise(controls, contacts, sensor.noise_share(config.rate) * readings)
     found = []
     for column, deviation in zip(config.columns, noise.tolist()):
         field = 'smallest_force' if column.half_length else 'contact_threshold'
+        bound = getattr(config.contact_state, field)
         found.append(
-            Resolution(
-                column.name, deviation, getattr(state, field), f'contact_state.{field}'
-            )
+            Resolution(column.name, deviation, bound, f'contact_state.{field}')
         )
     return tuple(found)
 
@@ -123,8 +124,9 @@ def check_resolution(
             return found
         worst = max(each.noise / each.bound for each in found)
         if worst < least or not best:
-            least, best = worst, found
-    raise ConfigError.of(_too_noisy(best))
+            least = worst
+            best = found
+    raise ConfigError.combine(_too_noisy(best))
 
 
 def _turn_tool(frame: Records[Frame], turn: Matrix, lever: Vector) -> None:
@@ -135,6 +137,7 @@ def _turn_tool(frame: Records[Frame], turn: Matrix, lever: Vector) -> None:
 
 
 def _too_noisy(found: Sequence[Resolution]) -> Iterator[ConfigError]:
+    """Yield an error for each parameter whose bound the noise of some column passes."""
     for field in dict.fromkeys(each.field for each in found):
         lost = [each for each in found if each.field == field and not each.suffices]
         if lost:

@@ -17,7 +17,7 @@ from multicontact_control.records import Contact, Frame, Records
 import numpy as np
 
 SLIDING_SPEED = (
-    0.03  # m/s, from which on sliding has a direction; above that of approaches
+    0.03  # m/s, from which on sliding has a direction; approaches are slower
 )
 PRESSED = 3.0  # N, from which on the direction of a force is
 STEEP = 0.32  # squared sine of 34 degrees to the surface as told, up to which it is slid along
@@ -33,7 +33,8 @@ def follow_surfaces(frame: Frame, contacts: Records[Contact]) -> None:
     `surface_speed_est` and `normal` are changed.
     """
     for i in range(contacts.shape[0]):
-        contact, config = contacts[i], contacts[i].config
+        contact = contacts[i]
+        config = contact.config
         limit = config.surface_speed_limit
         if limit > 0.0:
             seen = 0.0

@@ -67,9 +67,7 @@ class ContactSpace(Record, Protocol):
 CONTACT_SPACE = record_dtype(ContactSpace)
 
 
-SLIP_SPEED = (
-    0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
-)
+FRICTION_SPEED = 0.01  # m/s, v_s: of sliding, at which 71 % of the friction is expected
 
 
 @compiled
@@ -162,7 +160,7 @@ def expect_friction(
         point = rotate_vector(frame.rotation, contact.config.point)
         velocity = component_across(velocity_at(frame.twist, point), contact.normal)
         share = contact.config.friction_coefficient / np.sqrt(
-            dot(velocity, velocity) + SLIP_SPEED**2
+            dot(velocity, velocity) + FRICTION_SPEED**2
         )
         add_scaled_vector(friction[i], share, velocity)
         add_vector(rows[i, :3], friction[i])
@@ -194,9 +192,9 @@ def whiten_by_friction_covariance(
         if contact.config.friction_std <= 0.0:
             continue
         for axis in range(4):  # three of the force, then the torque about the normal
-            std = (
-                contact.config.friction_std if axis < 3 else contact.config.torsion_std
-            )
+            std = contact.config.friction_std
+            if axis == 3:
+                std = contact.config.torsion_std
             fill_friction(law, frame, contact, axis, friction)
             for j in range(6):
                 for k in range(6):
@@ -241,25 +239,35 @@ def weigh_at_sensor(law: Law, frame: Frame, wrench: Vector) -> None:
 def make_tool_record(tool: ToolConfig, gravity_world: Vector) -> Records[Tool]:
     """Return what hangs on the sensor as one record of `TOOL`; g in [m/s^2], shape (3,)."""
     record = np.zeros(1, dtype=TOOL)
-    record['com_sensor'], record['bias'] = tool.com_sensor, tool.bias_sensor
-    record['weight'], record['mass'] = tool.mass * gravity_world, tool.mass
+    record['com_sensor'] = tool.com_sensor
+    record['bias'] = tool.bias_sensor
+    record['weight'] = tool.mass * gravity_world
+    record['mass'] = tool.mass
     return record
 
 
 def interpolate_tool(before: ToolConfig, after: ToolConfig, share: float) -> ToolConfig:
-    """Return what is a share of the way between: linear in mass, first moment and bias."""
+    """
+    Return the tool at a share of the way from one to another.
+
+    Mass, first moment and bias change linearly, as readings are linear in them.
+    """
     if share >= 1.0:
         return after
-    old, new = (
-        np.array((tool.mass, *tool.mass * np.array(tool.com_sensor), *tool.bias_sensor))
-        for tool in (before, after)
-    )
+    old = _linear_parameters(before)
+    new = _linear_parameters(after)
     mass, *numbers = (old + share * (new - old)).tolist()
-    return ToolConfig(
-        mass=mass,
-        com_sensor=tuple(moment / mass if mass else 0.0 for moment in numbers[:3]),
-        bias_sensor=tuple(numbers[3:]),
-    )
+    com = np.zeros(3)
+    if mass:
+        com = np.array(numbers[:3]) / mass
+    x, y, z = com.tolist()
+    return ToolConfig(mass=mass, com_sensor=(x, y, z), bias_sensor=tuple(numbers[3:]))
+
+
+def _linear_parameters(tool: ToolConfig) -> Vector:
+    """Return mass [kg], first moment [kg m] and bias of a tool, shape (10,)."""
+    moment = tool.mass * np.array(tool.com_sensor)
+    return np.array((tool.mass, *moment, *tool.bias_sensor))
 
 
 def contact_wrench(
@@ -290,7 +298,8 @@ def contact_wrench(
 
     """
     require_shape('wrench_sensor', wrench_sensor, (6,))
-    control, wrench = np.zeros(1, dtype=CONTROL), np.empty(6)
+    control = np.zeros(1, dtype=CONTROL)
+    wrench = np.empty(6)
     frame = control['frame']
     frame['position'] = position_world
     frame['sensor_position'], frame['sensor_rotation'] = sensor_pose

@@ -52,17 +52,13 @@ import numpy as np
 RELEASE = 0.5  # share of its threshold that a residual must fall below to count no more
 # What a residual may follow: tanh(v / v_0), v [rad/s], dv/dt [rad/s^2], J_i^T f [N m].
 REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
-FADING_TIME = 1.0  # s, time constant of what is summed up of them
-REST_TIME, LEARNING_TIME = (
-    0.2,
-    0.5,
-)  # s at rest and in motion, after which no more is learnt
+FADING_TIME = 1.0  # s, time constant of the sums over them
+REST_TIME = 0.2  # s at rest, after which the residual at rest is known
+LEARNING_TIME = 0.5  # s in motion, after which the friction is known
 PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
-CALM_SHARE, CALM_TIME = (
-    0.25,
-    0.1,
-)  # of its threshold, and s: a residual below is over by then
-UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved that long
+CALM_SHARE = 0.25  # of its threshold: a residual below is small
+CALM_TIME = 0.1  # s for which all residuals are small once a touch is over
+UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint that has moved for less
 
 
 class ArmSpace(Record, Protocol):
@@ -103,25 +99,29 @@ def observe_momentum(
     that is `unwatched`, as its torque is not known, stays. `control.momentum` and `joints` are
     changed.
     """
-    momentum, frame, tool = control.momentum, control.frame, control.tool
-    n, elapsed, wrench = joints.shape[0], momentum.elapsed, space.wrench
+    momentum = control.momentum
+    frame = control.frame
+    tool = control.tool
+    elapsed = momentum.elapsed
+    wrench = space.wrench
+    n = joints.shape[0]
     to_com = rotate_vector(frame.sensor_rotation, tool.com_sensor)
     to_sensor = vector_between(frame.position, frame.sensor_position)
     lever = to_com[0] + to_sensor[0], to_com[1] + to_sensor[1], to_com[2] + to_sensor[2]
-    velocity = velocity_at(frame.twist, lever)  # of the tool's centre of mass
+    com_velocity = velocity_at(frame.twist, lever)
     if elapsed > 0.0:
         wrench[:] = 0.0
         if not momentum.config.is_input:
             operational_wrench(control, wrench)
             # Of what the sensor feels, the arm's model has the tool's inertia already.
-            change = vector_between(momentum.com_velocity, velocity)
-            inertia = (
+            change = vector_between(momentum.com_velocity, com_velocity)
+            inertial_force = (
                 -tool.mass * change[0] / elapsed,
                 -tool.mass * change[1] / elapsed,
                 -tool.mass * change[2] / elapsed,
             )
-            add_vector(wrench[:3], inertia)
-            add_vector(wrench[3:], cross(lever, inertia))
+            add_vector(wrench[:3], inertial_force)
+            add_vector(wrench[3:], cross(lever, inertial_force))
         for i in range(n):
             space.felt[i] = dot(jacobian[:, i], wrench)
             space.inertial[i] = 0.0
@@ -130,40 +130,57 @@ def observe_momentum(
                     joints[j].velocity - joints[j].watch.previous_velocity
                 )
             space.inertial[i] /= elapsed
-        share, touched = 1.0 - np.exp(-momentum.config.bandwidth * elapsed), False
-        factor = 1.0
+        share = 1.0 - np.exp(-momentum.config.bandwidth * elapsed)
+        release = 1.0
         if momentum.collided:
-            factor = RELEASE
+            release = RELEASE
+        exceeded = False
         for i in range(n):
-            joint, watch = joints[i], joints[i].watch
-            direction = np.tanh(joint.velocity / control.law.friction_speed)
-            unexplained = (
-                watch.effort
-                - space.inertial[i]
-                - (0.5 * (joint.bias_torque + watch.previous_bias_torque))
-            )
-            unexplained -= joint.config.coulomb * direction
-            unexplained -= joint.config.viscous * joint.velocity
-            unexplained -= space.felt[i]
-            if (
-                np.isfinite(unexplained) and not watch.unwatched
-            ):  # the other joints go on
-                watch.residual += share * (unexplained - watch.residual)
-                dynamic_share = momentum.config.dynamic_share
-                watch.dynamic_threshold += share * (
-                    dynamic_share * abs(space.inertial[i])
-                    + watch.effort_uncertainty
-                    - watch.dynamic_threshold
-                )
-                acceleration = (joint.velocity - watch.previous_velocity) / elapsed
-                learn_friction(
-                    momentum, joint, share, direction, acceleration, space.felt[i]
-                )
+            watch = joints[i].watch
+            update_residual(control, joints[i], share, space.inertial[i], space.felt[i])
             limit = watch.threshold + watch.dynamic_threshold
-            touched = touched or abs(watch.residual) > factor * limit
-        momentum.collided = touched
-    momentum.com_velocity[:] = velocity
+            exceeded = exceeded or abs(watch.residual) > release * limit
+        momentum.collided = exceeded
+    momentum.com_velocity[:] = com_velocity
     return bool(momentum.collided)
+
+
+@compiled
+def update_residual(
+    control: Control,
+    joint: Joint,
+    share: float,
+    inertial: float,
+    felt: float,
+) -> None:
+    """
+    Let the residual of a joint follow the torque that nothing explains, by a share of the way.
+
+    `inertial` is its element of M dv/dt, `felt` that of J^T f [N m]. A torque that is unknown or
+    no number changes nothing, so that the other joints go on.
+    """
+    momentum = control.momentum
+    watch = joint.watch
+    direction = np.tanh(joint.velocity / control.law.friction_speed)
+    unexplained = (
+        watch.effort
+        - inertial
+        - (0.5 * (joint.bias_torque + watch.previous_bias_torque))
+    )
+    unexplained -= joint.config.coulomb * direction
+    unexplained -= joint.config.viscous * joint.velocity
+    unexplained -= felt
+    if watch.unwatched or not np.isfinite(unexplained):
+        return
+    watch.residual += share * (unexplained - watch.residual)
+    dynamic_share = momentum.config.dynamic_share
+    watch.dynamic_threshold += share * (
+        dynamic_share * abs(inertial)
+        + watch.effort_uncertainty
+        - watch.dynamic_threshold
+    )
+    acceleration = (joint.velocity - watch.previous_velocity) / momentum.elapsed
+    learn_friction(momentum, joint, share, direction, acceleration, felt)
 
 
 @compiled
@@ -181,9 +198,10 @@ def learn_friction(
     The mean of the residual along the first motion of a joint, beyond that at rest, is friction
     that is not compensated, and raises the threshold, less a standard deviation.
     """
-    elapsed, config, watch = momentum.elapsed, joint.config, joint.watch
+    elapsed = momentum.elapsed
+    watch = joint.watch
     statistics = watch.residual_statistics
-    moving = direction**2 * elapsed
+    moving = direction**2 * elapsed  # of the time that elapsed [s]
     if statistics.time_at_rest < REST_TIME:
         statistics.time_at_rest += elapsed
         statistics.residual_at_rest += (
@@ -194,39 +212,37 @@ def learn_friction(
     beyond = watch.residual - statistics.residual_at_rest
     fading = np.exp(-elapsed / FADING_TIME)
     statistics.residual_power = fading * statistics.residual_power + elapsed * beyond**2
-    for k, value in enumerate((direction, joint.velocity, acceleration, felt)):
-        value = statistics.regressor[k] + share * (value - statistics.regressor[k])
+    for k, newest in enumerate((direction, joint.velocity, acceleration, felt)):
+        value = statistics.regressor[k] + share * (newest - statistics.regressor[k])
         statistics.regressor[k] = value
-        for sums, other in (
-            (statistics.regressor_power, value),
-            (statistics.correlation, beyond),
-        ):
-            sums[k] = fading * sums[k] + elapsed * value * other
+        power = statistics.regressor_power[k]
+        statistics.regressor_power[k] = fading * power + elapsed * value * value
+        correlation = statistics.correlation[k]
+        statistics.correlation[k] = fading * correlation + elapsed * value * beyond
     if statistics.time_in_motion < LEARNING_TIME and not momentum.collided:
         statistics.time_in_motion += moving
         weight = moving / (statistics.time_in_motion + PRIOR_TIME)
-        statistics.friction += weight * (
-            beyond * np.sign(direction) - statistics.friction
-        )
+        along_motion = beyond * np.sign(direction)
+        statistics.friction += weight * (along_motion - statistics.friction)
         statistics.mean_square += weight * (beyond**2 - statistics.mean_square)
+    config = joint.config
     if config.learnt_friction_limit > 0.0:
         least = config.least_threshold
         if statistics.time_in_motion < LEARNING_TIME:
             least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_friction_limit))
         # Of what touches the arm, which grows, the deviation is near the mean.
-        learnt = statistics.friction - np.sqrt(
-            max(statistics.mean_square - statistics.friction**2, 0.0)
-        )
+        variance = max(statistics.mean_square - statistics.friction**2, 0.0)
+        learnt = statistics.friction - np.sqrt(variance)
         if learnt > config.learnt_friction_limit:
             learnt = config.learnt_friction_limit
-        # No number, as after an impossible effort, is no friction.
-        watch.threshold = least + (
-            learnt if learnt > config.declared_friction else config.declared_friction
-        )
+        friction = config.declared_friction
+        if learnt > friction:  # which no number, as after an impossible effort, is not
+            friction = learnt
+        watch.threshold = least + friction
 
 
 @compiled
-def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
+def detect_passed_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
     """
     Sum up the residuals until the arm is calm; return whether one that was a touch has passed.
 
@@ -234,12 +250,16 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
     """
     calm = True
     for i in range(joints.shape[0]):
-        watch, statistics = joints[i].watch, joints[i].watch.residual_statistics
+        watch = joints[i].watch
+        statistics = watch.residual_statistics
         beyond = watch.residual - statistics.residual_at_rest
         statistics.residual_integral += momentum.elapsed * beyond
         calm = calm and abs(beyond) < CALM_SHARE * watch.threshold
     momentum.touched = momentum.touched or momentum.collided
-    momentum.calm = momentum.calm + momentum.elapsed if calm else 0.0
+    if not calm:
+        momentum.calm = 0.0
+        return False
+    momentum.calm += momentum.elapsed
     if momentum.calm < CALM_TIME:
         return False
     if momentum.touched:
@@ -247,15 +267,13 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
         return True
     for i in range(joints.shape[0]):
         statistics = joints[i].watch.residual_statistics
-        statistics.residual_integral, statistics.calm_wrench_torque = (
-            0.0,
-            statistics.regressor[WRENCH],
-        )
+        statistics.residual_integral = 0.0
+        statistics.calm_wrench_torque = statistics.regressor[WRENCH]
     return False
 
 
 @compiled
-def wrench_of_residual(
+def fill_wrench_of_residual(
     control: Control,
     joints: Records[Joint],
     mass_matrix: Matrix,
@@ -267,7 +285,9 @@ def wrench_of_residual(
 
     f = J_bar^T r, J_bar = M^-1 J^T Lambda. In a singular posture `control.wrench` stays as it was.
     """
-    n, inertia, rotation = joints.shape[0], space.inertia, control.frame.sensor_rotation
+    n = joints.shape[0]
+    inertia = space.inertia
+    rotation = control.frame.sensor_rotation
     damping, _ = mobility_and_inertia(
         mass_matrix, jacobian, control.law.singular_mobility, inertia
     )
@@ -323,7 +343,8 @@ def update_arm_state(
         RESIDUAL_EXCEEDED and RESIDUAL_CLEARED.
 
     """
-    frame, flags = control.frame, 0
+    frame = control.frame
+    flags = 0
     for j in range(joints.shape[0]):
         if not np.isfinite(bias_torque[j]):
             return MODEL_NOT_FINITE
@@ -331,8 +352,10 @@ def update_arm_state(
         joint = joints[j]
         joint.watch.previous_velocity = joint.velocity
         joint.watch.previous_bias_torque = joint.bias_torque
-        joint.q, joint.velocity = q[j], velocity[j]
-        joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
+        joint.q = q[j]
+        joint.velocity = velocity[j]
+        joint.inertia = mass_matrix[j, j]
+        joint.bias_torque = bias_torque[j]
         if abs(joint.velocity) > joint.config.speed_limit:
             flags = JOINT_SPEED
     frame.position[:] = position
@@ -340,18 +363,18 @@ def update_arm_state(
     frame.sensor_position[:] = sensor_position
     frame.sensor_rotation[:] = sensor_rotation
     multiply_vector(jacobian, velocity, frame.twist)
-    speed, turn = frame.twist[:3], frame.twist[3:]
-    if dot(speed, speed) > frame.config.speed_limit**2 or (
-        dot(turn, turn) > frame.config.turn_limit**2
-    ):
+    velocity_squared = dot(frame.twist[:3], frame.twist[:3])
+    turn_squared = dot(frame.twist[3:], frame.twist[3:])
+    too_fast = velocity_squared > frame.config.speed_limit**2
+    if too_fast or turn_squared > frame.config.turn_limit**2:
         flags |= OPERATIONAL_SPEED
     if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
             flags |= RESIDUAL_EXCEEDED
-        if follow_touch(control.momentum, joints):
+        if detect_passed_touch(control.momentum, joints):
             flags |= RESIDUAL_CLEARED
         if control.momentum.config.is_input:
-            wrench_of_residual(control, joints, mass_matrix, jacobian, space)
+            fill_wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
         flags |= FORCES_AMBIGUOUS
     return flags
@@ -394,24 +417,25 @@ class ArmState:
         self.motion: Matrix = np.zeros((2, robot.joint_count))
         self.q, self.velocity = self.motion
         self.joints: Records[Joint] = np.zeros(robot.joint_count, dtype=JOINT)
-        self.controls, self.contacts = controls, contacts
+        self.controls = controls
+        self.contacts = contacts
         self.frames: Records[Frame] = controls['frame']
         self.joints['config']['speed_limit'] = np.inf
-        for name in ('speed_limit', 'turn_limit'):
-            self.frames['config'][name] = np.inf
+        self.frames['config']['speed_limit'] = np.inf
+        self.frames['config']['turn_limit'] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
         self._space: ArmSpace = np.zeros(1, dtype=ARM_SPACE)[0]
         self.pose = Pose(self.frames['position'][0], self.frames['rotation'][0])
-        self.refresh()
+        self.take_motion()
 
     @property
-    def finite(self) -> bool:
+    def has_finite_terms(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
         return not self.flags & MODEL_NOT_FINITE
 
-    def refresh(self) -> bool:
-        """Take in what has been written into `motion`; return whether the model is `finite`."""
+    def take_motion(self) -> bool:
+        """Take in what has been written into `motion`; return whether the model stays finite."""
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = update_arm_state(
             self.q,
@@ -425,4 +449,4 @@ class ArmState:
             self.contacts,
             self._space,
         )
-        return self.finite
+        return self.has_finite_terms

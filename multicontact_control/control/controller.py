@@ -13,7 +13,10 @@ from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import interpolate_tool, make_tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
-from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
+from multicontact_control.dynamics.operational_space import (
+    MAX_MOBILITY_CONDITION,
+    STOP_MARGIN,
+)
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import (
@@ -48,9 +51,8 @@ from multicontact_control.records import (
 )
 import numpy as np
 
-STOP_RATIO = (
-    4.0  # frequency by which joints are kept off their stops, over the posture's
-)
+# Frequency by which joints are kept off their stops, over the posture's.
+STOP_RATIO = 4.0
 SINGULAR_MOBILITY = 0.004  # 1/kg, eigenvalue of J M^-1 J^T up to which Lambda is damped
 LEAST_TASK_SHARE = 0.5  # of the task at a torque limit; the rest is cut joint by joint
 
@@ -71,13 +73,12 @@ class ControlOutput(NamedTuple):
         """Return records of `CONTACT`, all that there is to say of every contact, shape (r,)."""
         return np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize)
 
-    def without_answer(self) -> ControlOutput:
+    def without_force_answers(self) -> ControlOutput:
         """Return the same for contacts that no law controls."""
-        contacts = np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize).copy()
+        contacts = self.contacts.copy()
         contacts['answer'] = 0
-        return self._replace(
-            memory=self.memory[: CONTROL.itemsize] + contacts.tobytes()
-        )
+        controls = self.memory[: CONTROL.itemsize]
+        return self._replace(memory=controls + np.asarray(contacts).tobytes())
 
     @property
     def pose(self) -> Pose:
@@ -103,7 +104,7 @@ class ControlOutput(NamedTuple):
         return answer
 
 
-class Design(NamedTuple):
+class ControllerDesign(NamedTuple):
     """What a configuration of a controller leads to."""
 
     config: ControllerConfig
@@ -117,7 +118,7 @@ class Controller:
     F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
     It holds the records that `tick` works on. The law alone, of a task in `controls` and
-    `contacts`, is `take` and `answer`. `start` comes before the first answer of either.
+    `contacts`, is `take_sample` and `answer`. `start` comes before the first answer of either.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ class Controller:
     memory
         The bytes of the first two.
     tool, next_tool
-        What hangs on the sensor now, and the one that is configured; see `change_tool`.
+        What hangs on the sensor now, and the one that is configured; see `advance_tool_change`.
     active, torque
         Which contacts are force controlled, shape (r,), and the answer, shape (n,) [N m].
     resolutions
@@ -167,7 +168,10 @@ class Controller:
         self.active: Mask = self.contacts['answer']['active']
         self.torque: Vector = self.arm.joints['answer']['torque']
         self._space: LawSpace = np.zeros(1, dtype=LAW_SPACE)[0]
-        self._adopt(config)
+        self._in_urdf = config.tool
+        self.next_tool = config.tool
+        self._set_configuration(config)
+        self._carry_tool(config.tool)
         self.resolutions = check_resolution(config, self.controls, self.contacts)
         self.reset()
         self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
@@ -177,57 +181,44 @@ class Controller:
         continue_laws(make_force_laws(config), self.laws)  # as a live change does
         self.reset()
 
-    def _adopt(self, config: ControllerConfig) -> None:
+    def _set_configuration(self, config: ControllerConfig) -> None:
         """Set everything that follows from the configuration alone."""
-        before = getattr(self, 'config', None)
         self.config = config
-        self.controls['law'] = law_record(config)
-        self.controls['momentum']['config']['is_input'] = (
-            config.wrench_input == 'momentum'
-        )
-        if before is None:
-            self._in_urdf = self.next_tool = config.tool
-            self._carry(config.tool)
-        elif config.tool != self.next_tool:
-            self._last_tool, self.next_tool, self._slewed = self.tool, config.tool, 0
-        # What has been learnt of the surfaces is kept.
-        if before is not None and before.contacts != config.contacts:
-            configure_contacts(config, self.contacts)
+        self.controls['law'] = make_law_record(config)
+        is_input = config.wrench_input == 'momentum'
+        self.controls['momentum']['config']['is_input'] = is_input
         joints = self.arm.joints['config']
-        for name in ('coulomb', 'viscous'):
-            joints[name] = getattr(config.friction, name) or 0.0
+        joints['coulomb'] = config.friction.coulomb or 0.0
+        joints['viscous'] = config.friction.viscous or 0.0
         joints['torque_limit'] = config.torque_limit or np.inf
         joints['lower'] = config.limits.joint_lower or -np.inf
         joints['upper'] = config.limits.joint_upper or np.inf
 
-    def _carry(self, tool: ToolConfig) -> None:
+    def _carry_tool(self, tool: ToolConfig) -> None:
         """Take a tool off the readings (by momentum they are without it), and bear its weight."""
-        self.tool, felt = tool, self.config.wrench_input != 'momentum'
-        self.controls['tool'] = make_tool_record(
-            tool if felt else ToolConfig(), np.array(self.config.robot.gravity_world)
-        )
+        self.tool = tool
+        felt = tool
+        if self.config.wrench_input == 'momentum':
+            felt = ToolConfig()
+        gravity_world = np.array(self.config.robot.gravity_world)
+        self.controls['tool'] = make_tool_record(felt, gravity_world)
         self.robot.carry_load(tool, self._in_urdf)
 
-    def change_tool(self) -> None:
+    def advance_tool_change(self) -> None:
         """Go a tick on from one tool to the next: weight, inertia and bias together."""
         self._slewed += 1
         elapsed = self._slewed * self.config.period
-        self._carry(
-            interpolate_tool(
-                self._last_tool,
-                self.next_tool,
-                quintic_blend(elapsed, self.config.transition.slew_time)[0],
-            )
-        )
+        share = quintic_blend(elapsed, self.config.transition.slew_time)[0]
+        self._carry_tool(interpolate_tool(self._last_tool, self.next_tool, share))
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self.started = False
-        self._carry(self.next_tool)
+        self._carry_tool(self.next_tool)
         self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0
 
-    def design(self, config: ControllerConfig) -> Design:
+    def design(self, config: ControllerConfig) -> ControllerDesign:
         """
         Return what another configuration leads to, which changes nothing; see `use`.
 
@@ -240,11 +231,13 @@ class Controller:
 
         """
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
-            if getattr(config, name) != getattr(self.config, name):
+            present = getattr(self.config, name)
+            wanted = getattr(config, name)
+            if wanted != present:
                 raise ConfigError(
                     name,
-                    f'{getattr(self.config, name)}',
-                    getattr(config, name),
+                    str(present),
+                    wanted,
                     hint='it cannot change while the controller is in use',
                 )
         mass = self.robot.last_mass
@@ -260,25 +253,35 @@ class Controller:
         configure_contacts(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
         check_resolution(config, self.controls, columns)
-        return Design(config, make_force_laws(config))
+        return ControllerDesign(config, make_force_laws(config))
 
-    def use(self, design: Design) -> None:
+    def use(self, design: ControllerDesign) -> None:
         """Go on with other gains; the force laws keep what they know as far as possible."""
-        self._adopt(design.config)
+        config = design.config
+        if config.tool != self.next_tool:
+            self._last_tool = self.tool
+            self.next_tool = config.tool
+            self._slewed = 0
+        if config.contacts != self.config.contacts:
+            configure_contacts(
+                config, self.contacts
+            )  # what is learnt of surfaces stays
+        self._set_configuration(config)
         if self.started:
             continue_laws(design.laws, self.laws)
             self.laws[:] = design.laws
 
-    def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
+    def take_sample(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """
         See a sample that no input stage has taken in.
 
         Joint positions [rad] and velocities [rad/s], shape (n,), and what the wrist sensor reads
         in its frame, force first, shape (6,) [N, N m].
         """
-        self.arm.q[:], self.arm.velocity[:] = q, qd
+        self.arm.q[:] = q
+        self.arm.velocity[:] = qd
         self.controls['wrench'] = wrench_sensor
-        self.arm.refresh()
+        self.arm.take_motion()
 
     def start(self) -> Pose:
         """Let the force laws begin; return the pose from which a task starts."""
@@ -311,7 +314,7 @@ class Controller:
 
         """
         if self.arm.flags & (FORCES_AMBIGUOUS | MODEL_NOT_FINITE):
-            self.refuse()
+            self.raise_no_answer()
         terms = self.robot.terms
         found = control_law(
             self.controls[0],
@@ -324,18 +327,16 @@ class Controller:
             self._space,
         )
         if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
-            self.refuse(found)
+            self.raise_no_answer(found)
         return bool(found & TORQUE_LIMITED)
 
-    def own_weight(self) -> Vector:
+    def drive_gravity_torque(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
-        with_tool, own = (
-            self.config.robot.adds_tool_gravity,
-            self.robot.terms.gravity.copy(),
-        )
-        return own if with_tool else own - self.robot.compute_load_torque(self.tool)
+        if self.config.robot.adds_tool_gravity:
+            return self.robot.terms.gravity.copy()
+        return self.robot.terms.gravity - self.robot.compute_load_torque(self.tool)
 
-    def account_for(self, torque: Vector) -> None:
+    def account_for_torque(self, torque: Vector) -> None:
         """
         Tell the force laws that another torque, shape (n,) [N m], acts than the one answered.
 
@@ -343,7 +344,8 @@ class Controller:
         forward beyond the estimate, which a force that cannot be reached never makes good. So much
         is added to the input that they predict with.
         """
-        terms, active = self.robot.terms, self.active
+        terms = self.robot.terms
+        active = self.active
         if not active.any():
             return
         M = np.triu(terms.mass_matrix)
@@ -357,9 +359,9 @@ class Controller:
         )
         add_extra_acceleration(self.laws, active, N.T @ twist_rate)
 
-    def refuse(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
+    def raise_no_answer(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
         """Raise what `control_law` has found, or that the model has no finite numbers."""
-        if not self.arm.finite:
+        if not self.arm.has_finite_terms:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}'
@@ -374,14 +376,15 @@ class Controller:
             state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T)
         )
         raise SingularTaskError(
-            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, got eigenvalues '
-            f'from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}'
+            f'J M^-1 J^T: expected a condition number below {MAX_MOBILITY_CONDITION:g}, '
+            f'got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}'
         )
 
 
-def law_record(config: ControllerConfig) -> Records[Law]:
+def make_law_record(config: ControllerConfig) -> Records[Law]:
     """Return gains and options of the control law as one record of `LAW`."""
-    motion, force = config.motion, config.force
+    motion = config.motion
+    force = config.force
     frequency = motion.natural_frequency
     law = np.zeros(1, dtype=LAW)
     law['k_p'] = frequency**2
@@ -392,7 +395,8 @@ def law_record(config: ControllerConfig) -> Records[Law]:
     if len(config.robot.joint_names) > 6:  # which have no null space
         w = config.posture.natural_frequency
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
-        law['posture_stiffness'], law['stop_stiffness'] = w**2, (STOP_RATIO * w) ** 2
+        law['posture_stiffness'] = w**2
+        law['stop_stiffness'] = (STOP_RATIO * w) ** 2
     law['least_share'] = LEAST_TASK_SHARE
     law['singular_mobility'] = SINGULAR_MOBILITY
     law['inertia_metric'] = force.projection == 'inertia'

@@ -96,7 +96,7 @@ LAW_SPACE = record_dtype(LawSpace)
 
 
 @compiled
-def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
+def apply_motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
     """
     Fill in f_t*, the acceleration that leads the operational point to its reference.
 
@@ -113,7 +113,7 @@ def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
 
 
 @compiled
-def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
+def convert_to_coordinates(rows: Matrix, inputs: Vector) -> None:
     """
     Replace u of the contact points by alpha* of the coordinates along N_i, shape (r,) [m/s^2].
 
@@ -128,7 +128,7 @@ def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
 
 
 @compiled
-def force_law(
+def apply_force_law(
     law: Law,
     rows: Matrix,
     factor: Matrix,
@@ -167,7 +167,7 @@ def force_law(
 
 
 @compiled
-def finish_torque(law: Law, joints: Records[Joint]) -> bool:
+def limit_torque(law: Law, joints: Records[Joint]) -> bool:
     """
     Add the expected friction, then keep to the limits without turning what the task asks for.
 
@@ -181,9 +181,13 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
     `law` is a record of `LAW`, `joints` are records of `JOINT`, shape (n,), changed. Returns
     whether a limit was enforced.
     """
-    n, share, exceeded = joints.shape[0], 1.0, False
+    n = joints.shape[0]
+    share = 1.0
+    exceeded = False
     for j in range(n):
-        joint, config, answer = joints[j], joints[j].config, joints[j].answer
+        joint = joints[j]
+        answer = joint.answer
+        config = joint.config
         if config.coulomb != 0.0:
             friction = config.coulomb * np.tanh(joint.velocity / law.friction_speed)
             answer.torque += friction
@@ -193,22 +197,23 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
         answer.unlimited = answer.torque
         upper = joint.drive_gravity_torque + config.torque_limit
         lower = joint.drive_gravity_torque - config.torque_limit
-        first = answer.priority
+        priority = answer.priority
         if answer.torque > upper:
             exceeded = True
-            if first < upper:
-                share = min(share, (upper - first) / (answer.torque - first))
+            if priority < upper:
+                share = min(share, (upper - priority) / (answer.torque - priority))
         elif answer.torque < lower:
             exceeded = True
-            if first > lower:
-                share = min(share, (first - lower) / (first - answer.torque))
+            if priority > lower:
+                share = min(share, (priority - lower) / (priority - answer.torque))
     if not exceeded:
         return False
     share = max(share, law.least_share)
     for j in range(n):
-        joint, config, answer = joints[j], joints[j].config, joints[j].answer
-        upper = joint.drive_gravity_torque + config.torque_limit
-        lower = joint.drive_gravity_torque - config.torque_limit
+        joint = joints[j]
+        answer = joint.answer
+        upper = joint.drive_gravity_torque + joint.config.torque_limit
+        lower = joint.drive_gravity_torque - joint.config.torque_limit
         answer.torque = answer.priority + share * (answer.torque - answer.priority)
         if answer.torque > upper:
             answer.torque = upper
@@ -253,19 +258,22 @@ def control_law(
         no answer, and the force laws have not been touched.
 
     """
-    law, frame, task = control.law, control.frame, control.task
-    n, count, inertia = joints.shape[0], contacts.shape[0], space.inertia
+    law = control.law
+    frame = control.frame
+    n = joints.shape[0]
+    count = contacts.shape[0]
+    inertia = space.inertia
     damping, frame.mobility = mobility_and_inertia(
         mass_matrix, jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:
         return POSTURE_SINGULAR
-    rows, weighted_rows = space.rows[:count], space.weighted_rows[:count]
-    factor, weighted_factor = (
-        space.factor[:count, :count],
-        space.weighted_factor[:count, :count],
-    )
-    inputs, alpha_star = space.inputs[:count], space.alpha_star[:count]
+    rows = space.rows[:count]
+    weighted_rows = space.weighted_rows[:count]
+    factor = space.factor[:count, :count]
+    weighted_factor = space.weighted_factor[:count, :count]
+    inputs = space.inputs[:count]
+    alpha_star = space.alpha_star[:count]
     for i in range(count):
         multiply_vector(inertia.mobility, contacts[i].N, space.along)
         contacts[i].mobility = dot(contacts[i].N, space.along)
@@ -280,11 +288,13 @@ def control_law(
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
     ):
         return COLUMNS_DEPENDENT
-    motion_law(law, task, frame, space.f_t)
+    apply_motion_law(law, control.task, frame, space.f_t)
     answer_contact_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
-        drive_coordinates(rows, inputs)
-    force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)
+        convert_to_coordinates(rows, inputs)
+    apply_force_law(
+        law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c
+    )
     follow_surfaces(frame, contacts)
     acceleration = space.acceleration
     compose_acceleration(
@@ -305,7 +315,8 @@ def control_law(
         for j in range(n):
             space.bias[i] -= jacobian_rate[i, j] * joints[j].velocity
         acceleration[i] += space.bias[i]
-    force, held = space.force, space.held
+    force = space.force
+    held = space.held
     multiply_vector(inertia.Lambda, acceleration, force)
     held[:] = 0.0
     for i in range(count):
@@ -329,4 +340,6 @@ def control_law(
             space.pull[:n],
             space.along,
         )
-    return TORQUE_LIMITED if finish_torque(law, joints) else 0
+    if limit_torque(law, joints):
+        return TORQUE_LIMITED
+    return 0

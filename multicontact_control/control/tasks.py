@@ -20,20 +20,23 @@ from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 
-STILL = np.zeros(6)  # twist and acceleration
-STILL.flags.writeable = False
+ZERO_TWIST = np.zeros(6)  # twist and acceleration
+ZERO_TWIST.flags.writeable = False
 STAMP_TOLERANCE = 1e-9  # s
-LARGEST_SINE = (
-    0.5  # of a scenario's motion to a surface that is pressed: some are tilted
-)
-QUINTIC_SPEED, QUINTIC_ACCELERATION = (
-    15.0 / 8.0,
-    10.0 / math.sqrt(3.0),
-)  # peaks of b' and b''
+# Largest sine of the angle of a scenario's motion to a surface that is pressed: some are tilted.
+LARGEST_SINE = 0.5
+# Peaks of b' and b'' of a quintic over a duration of 1.
+QUINTIC_SPEED = 15.0 / 8.0
+QUINTIC_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 
-class Task(NamedTuple):
-    """What is wanted at one tick, in world axes; forces and couples of shape (r,)."""
+class WantedTask(NamedTuple):
+    """
+    What a source wants at one tick, in world axes; forces and couples of shape (r,).
+
+    The records have it as `control.wanted`, and what contacts and limits leave of it as
+    `control.task`.
+    """
 
     pose_des: Pose  # of the operational frame
     twist_des: Vector  # linear first, shape (6,) [m/s, rad/s]
@@ -61,7 +64,7 @@ class TaskSource(Protocol):
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest, beside contact normals INTO the surfaces, shape (r, 3)."""
 
-    def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
         """
         Return the task at a time since the start [s].
 
@@ -95,7 +98,7 @@ class ApproachConfig(Config):
 
 
 class ForceStepConfig(Config):
-    """A step of the desired forces."""
+    """A step of the desired forces at one time; contacts that are not named keep theirs."""
 
     time: float = parameter(..., 'When.', unit='s', ge=0.0)
     forces: dict[str, float] = parameter(
@@ -104,7 +107,7 @@ class ForceStepConfig(Config):
 
 
 class SineConfig(Config):
-    """A sinusoid along one direction, blended in."""
+    """A sinusoid of the operational point along one direction, blended in by a quintic."""
 
     start_time: float = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
     direction_world: UnitVector3 = parameter(
@@ -118,7 +121,11 @@ class SineConfig(Config):
 
 
 class ReferenceConfig(Config):
-    """Approach, force steps at rest, motion (P04 sec. 5.2)."""
+    """
+    The scenario of an experiment: approach, force steps at rest, motion (P04 sec. 5.2).
+
+    Times count from the first sample.
+    """
 
     approach: ApproachConfig = ApproachConfig()
     force_steps: tuple[ForceStepConfig, ...] = ()
@@ -130,22 +137,19 @@ class ReferenceConfig(Config):
             yield ConfigError('reference.force_steps', 'times in rising order', times)
 
 
-def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
+def shortest_motion_duration(change: Vector, limits: LimitsConfig) -> float:
     """Return the least time of a `quintic_blend` within limits [s] over a way, (6,) [m, rad]."""
-    durations = [0.0]
-    for part, speed, acceleration in (
-        (change[:3], limits.operational_speed, limits.operational_acceleration),
-        (change[3:], limits.operational_turn, limits.operational_turn_acceleration),
-    ):
-        way = float(np.linalg.norm(part))
-        durations += [
-            QUINTIC_SPEED * way / speed,
-            math.sqrt(QUINTIC_ACCELERATION * way / acceleration),
-        ]
-    return max(durations)
+    distance = float(np.linalg.norm(change[:3]))
+    angle = float(np.linalg.norm(change[3:]))
+    return max(
+        QUINTIC_SPEED * distance / limits.operational_speed,
+        math.sqrt(QUINTIC_ACCELERATION * distance / limits.operational_acceleration),
+        QUINTIC_SPEED * angle / limits.operational_turn,
+        math.sqrt(QUINTIC_ACCELERATION * angle / limits.operational_turn_acceleration),
+    )
 
 
-def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
+def evaluate_sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
     """Return s = A b(tau / t_b) sin(2 pi tau / T) [m], b a quintic, and its two derivatives."""
     tau = time - config.start_time
     if tau <= 0.0:
@@ -173,9 +177,9 @@ class ScenarioTask:
     ----------
     config, rate
         Times and sizes; control rate [Hz].
-    names, leader_of
+    names, leading_columns
         Forces and couples in the order of every contact vector, and for each the index of the
-        normal force of its contact; its own if not given.
+        normal force of its contact.
 
     Attributes
     ----------
@@ -189,46 +193,38 @@ class ScenarioTask:
         config: ReferenceConfig,
         rate: float,
         names: Sequence[str],
-        leader_of: Sequence[int] | None = None,
+        leading_columns: Sequence[int],
     ) -> None:
-        self._approach = approach = config.approach
-        self._motion, self._period = config.motion, 1.0 / rate
-        self._direction = np.zeros(6)  # of the sinusoid, as a twist
+        self._approach = config.approach
+        self._motion = config.motion
+        self._period = 1.0 / rate
+        self._motion_direction = np.zeros(6)  # as a twist
         if config.motion:
-            self._direction[:3] = config.motion.direction_world
-        self._line = self._direction[:3]
+            self._motion_direction[:3] = config.motion.direction_world
         self.contact_state: Mapping[str, float] = {
-            'approach_speed': approach.speed,
-            'approach_ramp_time': approach.ramp_time,
-            'contact_threshold': approach.contact_threshold,
-            'preload': approach.preload,
+            'approach_speed': self._approach.speed,
+            'approach_ramp_time': self._approach.ramp_time,
+            'contact_threshold': self._approach.contact_threshold,
+            'preload': self._approach.preload,
         }
-        self._leader_of = np.array(
-            range(len(names)) if leader_of is None else leader_of
+        self._leading_columns = np.array(leading_columns)
+        is_force = self._leading_columns == np.arange(len(names))
+        self.forces = _forces_after_steps(
+            config.force_steps,
+            dict(zip(names, np.where(is_force, self._approach.preload, 0.0))),
         )
-        leads = self._leader_of == np.arange(len(names))
-        forces = dict(zip(names, np.where(leads, approach.preload, 0.0)))
-        rows = [list(forces.values())]
-        for index, step in enumerate(config.force_steps):
-            if unknown := set(step.forces) - set(names):
-                raise ConfigError(
-                    f'reference.force_steps.{index}.forces',
-                    f'contacts among {", ".join(names)}',
-                    f"'{min(unknown)}'",
-                )
-            forces |= step.forces
-            rows.append(list(forces.values()))
-        self.forces: Matrix = np.array(rows)
         self._wanted_after_step = [
-            ((row > 0.0)[self._leader_of], row) for row in self.forces
+            ((forces > 0.0)[self._leading_columns], forces) for forces in self.forces
         ]
         self._nothing_wanted = np.zeros(len(names), dtype=bool), np.zeros(len(names))
         self._step_times = [step.time for step in config.force_steps]
 
     @classmethod
-    def of(cls, reference: ReferenceConfig, config: ControllerConfig) -> ScenarioTask:
+    def for_controller(
+        cls, reference: ReferenceConfig, config: ControllerConfig
+    ) -> ScenarioTask:
         """Return the task of a scenario for the contacts of a controller; ConfigError."""
-        task = cls(reference, config.rate, config.column_names, config.leader_of)
+        task = cls(reference, config.rate, config.column_names, config.leading_columns)
         if reference.motion is not None and reference.motion.amplitude > 0.0:
             task._require_free(reference.motion, config)
         return task
@@ -239,83 +235,99 @@ class ScenarioTask:
         rows = self.forces[steps_before:]  # those in force at its start, and later
         pressed = [
             name
-            for name, i in zip(config.contact_names, config.leaders)
+            for name, i in zip(config.contact_names, config.force_columns)
             if (rows[:, i] > 0.0).any()
         ]
-        normals = np.array(
-            [config.contacts[name].normal_world for name in pressed]
-        ).reshape(-1, 3)
+        normals = np.array([config.contacts[name].normal_world for name in pressed])
+        normals = normals.reshape(-1, 3)  # also of none
         direction = np.array(motion.direction_world)
-        along = float(np.linalg.norm(np.linalg.pinv(normals) @ (normals @ direction)))
-        if along > LARGEST_SINE:
+        out_of_surfaces = np.linalg.pinv(normals) @ (normals @ direction)
+        sine = float(np.linalg.norm(out_of_surfaces))
+        if sine > LARGEST_SINE:
+            largest_angle = math.degrees(math.asin(LARGEST_SINE))
+            angle = math.degrees(math.asin(min(sine, 1.0)))
             raise ConfigError(
                 'reference.motion.direction_world',
-                f'at most {math.degrees(math.asin(LARGEST_SINE)):.0f} degrees out of the surfaces '
+                f'at most {largest_angle:.0f} degrees out of the surfaces '
                 f'of {", ".join(pressed)}, which are pressed then',
-                f'{direction.tolist()}, '
-                f'{math.degrees(math.asin(min(along, 1.0))):.0f} degrees out of them',
+                f'{direction.tolist()}, {angle:.0f} degrees out of them',
                 hint='a motion has no effect along the normal of a contact',
             )
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest; see `TaskSource.start`."""
-        self._pose, self._normals, self._position = (
-            pose,
-            normals_world,
-            pose.position_world,
-        )
+        self._pose = pose
+        self._position = pose.position_world
+        self._normals = normals_world
         self._touched: Mask = np.zeros(len(normals_world), dtype=bool)
+        self._advance = np.zeros(len(normals_world))  # along each normal [m]
         self.seeks = True
-        self._advance = np.zeros(len(normals_world))
 
-    def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
-        """Return the task of one tick; see `TaskSource.task`."""
-        since = time - self._approach.start_time
-        if since < 0.0:
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
+        """Return the task of one tick; see `TaskSource.task_at`."""
+        since_start = time - self._approach.start_time
+        if since_start < 0.0:
             active, alpha_des = self._nothing_wanted
         else:
             steps_taken = bisect_right(self._step_times, time + STAMP_TOLERANCE)
             active, alpha_des = self._wanted_after_step[steps_taken]
-        twist = acceleration = STILL
+        twist = acceleration = ZERO_TWIST
         if alpha_meas is not None:
             if self.seeks:
-                twist, acceleration = self._seek(since, alpha_meas)
+                twist, acceleration = self._approach_surfaces(since_start, alpha_meas)
                 alpha_des = np.where(self._touched, alpha_des, 0.0)
             active = self._touched
-        position, motion = self._position, self._motion
+        position = self._position
+        motion = self._motion
         if motion is not None and time > motion.start_time:
-            s, ds, dds = sine_motion(motion, time)
-            position = position + s * self._line
-            speed, rate = ds * self._direction, dds * self._direction
-            if twist is STILL:
-                twist, acceleration = speed, rate
-            else:
-                twist, acceleration = twist + speed, acceleration + rate
-        return Task(
-            Pose(position, self._pose.rotation_world),
-            twist,
-            acceleration,
-            active,
-            alpha_des,
-        )
+            s, ds, dds = evaluate_sine_motion(motion, time)
+            position = position + s * self._motion_direction[:3]
+            twist = twist + ds * self._motion_direction
+            acceleration = acceleration + dds * self._motion_direction
+        pose = Pose(position, self._pose.rotation_world)
+        return WantedTask(pose, twist, acceleration, active, alpha_des)
 
-    def _seek(self, since: float, alpha_meas: Vector) -> tuple[Vector, Vector]:
+    def _approach_surfaces(
+        self, since_start: float, alpha_meas: Vector
+    ) -> tuple[Vector, Vector]:
         """Go on to the surfaces that are not touched; return twist and acceleration."""
         approach = self._approach
-        if since >= 0.0:
-            felt = alpha_meas > approach.contact_threshold
-            self._touched = self._touched | felt[self._leader_of]
+        if since_start >= 0.0:
+            touching = alpha_meas > approach.contact_threshold
+            self._touched = self._touched | touching[self._leading_columns]
             self.seeks = not self._touched.all()
-        if since <= 0.0:
-            return STILL, STILL
-        speed, rate = approach.speed, 0.0
-        if since < approach.ramp_time:
-            speed, rate = speed * since / approach.ramp_time, speed / approach.ramp_time
+        if since_start <= 0.0:
+            return ZERO_TWIST, ZERO_TWIST
+        speed = approach.speed
+        rate = 0.0
+        if since_start < approach.ramp_time:
+            speed = approach.speed * since_start / approach.ramp_time
+            rate = approach.speed / approach.ramp_time
         free = ~self._touched
         self._advance[free] += speed * self._period
         self._position = self._pose.position_world + self._advance @ self._normals
-        direction = np.append(self._normals[free].sum(axis=0), STILL[:3])
+        direction = np.zeros(6)
+        direction[:3] = self._normals[free].sum(axis=0)
         return speed * direction, rate * direction
+
+
+def _forces_after_steps(
+    steps: Sequence[ForceStepConfig], preload: Mapping[str, float]
+) -> Matrix:
+    """Return desired forces before the first and after each step, (steps + 1, r) [N]."""
+    forces = dict(preload)
+    rows = [list(forces.values())]
+    for index, step in enumerate(steps):
+        unknown = step.forces.keys() - preload.keys()
+        if unknown:
+            raise ConfigError(
+                f'reference.force_steps.{index}.forces',
+                f'contacts among {", ".join(preload)}',
+                f"'{min(unknown)}'",
+            )
+        forces |= step.forces
+        rows.append(list(forces.values()))
+    return np.array(rows)
 
 
 class CommandedTask:
@@ -330,26 +342,21 @@ class CommandedTask:
     contact_state: Mapping[str, float] = {}
     seeks = False
 
-    def __init__(
-        self, names: Sequence[str], leader_of: Sequence[int] | None = None
-    ) -> None:
+    def __init__(self, names: Sequence[str], leading_columns: Sequence[int]) -> None:
         self._names = tuple(names)
-        self._leader_of = np.array(
-            range(len(names)) if leader_of is None else leader_of
-        )
+        self._leading_columns = np.array(leading_columns)
         self.start(None, np.empty((0, 3)))
 
     def start(self, pose: Pose | None, normals_world: Matrix) -> None:
         """Forget all commands, and begin from a pose at rest; see `TaskSource.start`."""
         self.pose = pose
-        self._twist = self._acceleration = STILL
-        self._lasting = self._until = (
-            math.inf
-        )  # of these two [s]; NaN until the next tick
+        self._twist = self._acceleration = ZERO_TWIST
+        self._lasting = math.inf  # how long these two count from the next tick on [s]
+        self._until = math.inf  # the same as a time; NaN until that tick [s]
         self._alpha_des = np.zeros(len(self._names))
         self._active: Mask = np.zeros(len(self._names), dtype=bool)
         self._shares = np.full(len(self._names), math.nan)
-        self._task: Task | None = None
+        self._task: WantedTask | None = None
 
     def set_forces(
         self,
@@ -363,15 +370,20 @@ class CommandedTask:
         does; those among `shares` follow its force: the centre of pressure in half lengths.
         """
         before = self._alpha_des
-        desired, followed, index = before.copy(), self._shares.copy(), self._names.index
+        desired = before.copy()
+        followed = self._shares.copy()
         for name, force in forces.items():
-            desired[index(name)], followed[index(name)] = force, math.nan
+            column = self._names.index(name)
+            desired[column] = force
+            followed[column] = math.nan
         for name, share in (shares or {}).items():
-            followed[index(name)] = share
-        known = ~np.isnan(followed)
-        desired[known] = followed[known] * desired[self._leader_of][known]
-        self._alpha_des, self._shares = desired, followed
-        self._active = (desired > 0.0)[self._leader_of]
+            followed[self._names.index(name)] = share
+        follows = ~np.isnan(followed)
+        leading_forces = desired[self._leading_columns]
+        desired[follows] = followed[follows] * leading_forces[follows]
+        self._alpha_des = desired
+        self._shares = followed
+        self._active = (desired > 0.0)[self._leading_columns]
         self._task = None
         return bool((desired != before).any())
 
@@ -401,32 +413,36 @@ class CommandedTask:
         Along `taken_normals`, shape (k, 3), of the contacts that are sought or held, these place
         the tip: the command has no effect, now or later.
         """
-        position, quaternion, twist, acceleration = (
-            np.array(x, dtype=float) for x in motion
-        )
+        position = np.array(motion.position_world, dtype=float)
+        twist = np.array(motion.twist_world, dtype=float)
+        acceleration = np.array(motion.acceleration_world, dtype=float)
         if len(taken_normals) and self.pose is not None:
             N = taken_normals.T
             across = np.eye(3) - N @ np.linalg.pinv(N)
             start = self.pose.position_world
             position = start + across @ (position - start)
-            twist[:3], acceleration[:3] = across @ twist[:3], across @ acceleration[:3]
+            twist[:3] = across @ twist[:3]
+            acceleration[:3] = across @ acceleration[:3]
+        quaternion = np.array(motion.quaternion_xyzw, dtype=float)
         self.pose = Pose.from_quaternion(position, quaternion)
-        self._twist, self._acceleration = twist, acceleration
-        self._lasting, self._until = lasting, math.nan
+        self._twist = twist
+        self._acceleration = acceleration
+        self._lasting = lasting
+        self._until = math.nan
         self._task = None
 
-    def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
-        """Return the commanded task; see `TaskSource.task`."""
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
+        """Return the commanded task; see `TaskSource.task_at`."""
         if math.isnan(self._until):
             self._until = time + self._lasting
         if time > self._until:
-            self._twist = self._acceleration = STILL
+            self._twist = self._acceleration = ZERO_TWIST
             self._until = math.inf
             self._task = None
         if self._task is None:
             if self.pose is None:
-                raise ConfigError('reference', 'start() before task()', 'task()')
-            self._task = Task(
+                raise ConfigError('reference', 'start() before task_at()', 'task_at()')
+            self._task = WantedTask(
                 self.pose,
                 self._twist,
                 self._acceleration,

@@ -17,15 +17,18 @@ from multicontact_control.diagnosis.friction import UNDECLARED
 from multicontact_control.records import Joint, Momentum, Records, ResidualStatistics
 import numpy as np
 
-EXPLAINED = (
-    0.7  # share of the residual's power, from which on what it follows is its cause
+# Share of the residual's power, from which on what it follows is its cause.
+EXPLAINED = 0.7
+# Share of the time at rest in which all is learnt, from which on a residual may have grown later.
+RESTED_SHARE = 0.5
+# Share of the residual that was there at rest, above which it has not.
+AT_REST_SHARE = 0.5
+# As `EXPLAINED`, over the joints at rest, of the torque of gravity.
+MULTIPLE = 0.95
+NEAR_OPPOSITE = (
+    0.2  # distance of that multiple from -1, within which it is another sign
 )
-# Share of the time at rest in which all is learnt, from which on a residual may have grown later;
-# share of it that was there at rest, above which it has not.
-RESTED_SHARE, AT_REST_SHARE = 0.5, 0.5
-MULTIPLE = 0.95  # as `EXPLAINED`, over the joints at rest, of the torque of gravity
-# How near the multiple is to -1, which is another sign, and from which size on it is another unit.
-NEAR_OPPOSITE, OTHER_UNIT = 0.2, 1.5
+OTHER_UNIT = 1.5  # size of that multiple, from which on it is another unit
 # What to say of a residual that follows one of `REGRESSORS`.
 FOLLOWED = {
     DIRECTION: UNDECLARED,
@@ -105,7 +108,8 @@ def _explain_motion(residual: float, statistics: ResidualStatistics) -> str:
 
 def _explain_rest(residual: Vector, gravity: Vector, loaded: int) -> str:
     """Return what residuals of an arm at rest, shape (n,) [N m], speak for; `loaded` count."""
-    product, square = residual @ gravity, gravity @ gravity
+    product = residual @ gravity
+    square = gravity @ gravity
     factor = product / square
     is_multiple = product**2 > MULTIPLE * square * (residual @ residual)
     is_wrong = abs(factor + 1.0) < NEAR_OPPOSITE or abs(factor) > OTHER_UNIT

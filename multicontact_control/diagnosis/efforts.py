@@ -19,7 +19,8 @@ def explain_unwatched(
     if not config.robot.measures_torque:
         return ''
     names = config.robot.joint_names
-    texts, count = [], 0
+    texts = []
+    count = 0
     for fault, joints in joints_without_effort.items():
         whose = 'all'
         if len(joints) < len(names):

@@ -29,6 +29,11 @@ DOUBTED = (
 )
 
 
+def _have_collision(causes: tuple[str, ...]) -> bool:
+    """Return whether one of some causes is a collision."""
+    return any(cause.startswith(COLLISION) for cause in causes)
+
+
 class Explanations:
     """
     Explains causes of reactions by the records of a controller; changes nothing.
@@ -45,16 +50,19 @@ class Explanations:
         *,
         guarded: bool,
     ) -> None:
-        self._controller, self._inputs, self._task = controller, inputs, task
+        self._controller = controller
+        self._inputs = inputs
+        self._task = task
         self._guarded = guarded
-        self._joints, self._control = controller.arm.joints, controller.controls[0]
+        self._joints = controller.arm.joints
+        self._control = controller.controls[0]
 
-    def of(self, causes: tuple[str, ...]) -> tuple[str, ...]:
+    def explain_causes(self, causes: tuple[str, ...]) -> tuple[str, ...]:
         """Return a sentence for each cause that has just begun and that has one."""
-        sentences = map(self._explain, causes)
-        return tuple(sentence for sentence in sentences if sentence)
+        return tuple(filter(None, map(self._explain, causes)))
 
     def _explain(self, cause: str) -> str:
+        """Return a sentence for a cause; empty if it has none."""
         if cause in WRONG_WRENCH.values():
             return self._sensor_axes() or self.stray_force()
         collides = cause.startswith(COLLISION)
@@ -76,7 +84,9 @@ class Explanations:
                 self._controller.config.robot.joint_names,
             )
         stray = self.stray_force()
-        return f'{residual}; {stray}' if stray else residual
+        if stray:
+            return f'{residual}; {stray}'
+        return residual
 
     def _velocities(self) -> str:
         """Return what the newest positions say against the velocities."""
@@ -88,8 +98,7 @@ class Explanations:
 
     def comes_of_velocities(self, causes: tuple[str, ...]) -> bool:
         """Return whether a collision is what the law made of velocities that are wrong."""
-        collides = any(cause.startswith(COLLISION) for cause in causes)
-        return collides and self._velocities() != ''
+        return _have_collision(causes) and self._velocities() != ''
 
     def _sensor_axes(self) -> str:
         """Return what says that the axes of the wrench sensor are others."""
@@ -111,14 +120,14 @@ class Explanations:
             self._controller.config.wrench_input != 'momentum'
         )
 
-    def gravity(self, causes: tuple[str, ...]) -> str:
+    def explain_other_gravity(self, causes: tuple[str, ...]) -> str:
         """Return what says that gravity is another, where a collision has led to a pause."""
-        arm, tool = self._controller.arm, self._controller.tool
-        collides = any(cause.startswith(COLLISION) for cause in causes)
-        stands = np.abs(arm.velocity).max() < STANDING_SPEED
-        if not (collides and stands and self._wrench_is_read):
+        arm = self._controller.arm
+        tool = self._controller.tool
+        if not _have_collision(causes) or not self._wrench_is_read:
             return ''
-        if self._seeks_contact:
+        stands = np.abs(arm.velocity).max() < STANDING_SPEED
+        if not stands or self._seeks_contact:
             return ''
         force = self._wrench()[:3]
         gravity = np.array(self._controller.config.robot.gravity_world)
@@ -141,7 +150,8 @@ class Explanations:
         if not (self._guarded and self._wrench_is_read) or self._seeks_contact:
             return ''
         wrench = self._wrench()
-        force, torque = np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])
+        force = np.linalg.norm(wrench[:3])
+        torque = np.linalg.norm(wrench[3:])
         smallest = self._controller.config.contact_state.smallest_force
         if force <= smallest and torque <= STRAY_TORQUE:
             return ''
@@ -150,17 +160,17 @@ class Explanations:
             'touches the tool, bias or tool weight (tare or calibrate)'
         )
 
-    def lag(self) -> str:
+    def explain_late_wrench(self) -> str:
         """Return what says that the wrench comes late, once a collision has passed."""
         return explain_lag(self._joints)
 
-    def unwatched(self) -> str:
+    def explain_unwatched_joints(self) -> str:
         """Return whose measured torques are of no use, and what that leads to."""
         return explain_unwatched(
             self._controller.config, self._inputs.joints_without_effort
         )
 
-    def friction(self) -> str:
+    def explain_friction(self) -> str:
         """Return which joints show friction that is not declared."""
         names = self._controller.config.robot.joint_names
         return '; '.join(undeclared_friction(self._joints, names))

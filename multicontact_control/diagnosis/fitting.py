@@ -7,9 +7,8 @@ from typing import Any
 from multicontact_control.arrays import Matrix, Vector
 import numpy as np
 
-SMALLEST_SHARE = (
-    0.03  # of the largest singular value, below which a direction is left free
-)
+# Share of the largest singular value, below which a direction is left free.
+SMALLEST_SHARE = 0.03
 
 
 def fit_over_joints(shares: Matrix, torques: Matrix, thresholds: Vector) -> Matrix:

@@ -11,9 +11,8 @@ UNDECLARED = (
     'follows the sign of the speed: {} N m of friction that friction.coulomb does not '
     'declare'
 )
-MOVED_SHARE = (
-    0.5  # of the time in motion after which all is learnt, from which on it is told
-)
+# Share of the time in motion after which all is learnt, from which on friction is reported.
+MOVED_SHARE = 0.5
 
 
 def undeclared_friction(joints: Records[Joint], names: Sequence[str]) -> Iterator[str]:

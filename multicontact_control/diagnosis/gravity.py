@@ -9,9 +9,8 @@ import numpy as np
 
 SMALLEST_MASS = 0.2  # kg; a lighter tool does not tell it
 SMALLEST_LEAN = 0.5  # m/s^2 by which gravity leans, at least
-SAME_SIDE = (
-    0.9  # cosine of the angle between the leans that tool and arm show, at least
-)
+# Least cosine of the angle between the leans that tool and arm show.
+SAME_SIDE = 0.9
 SAME_STRENGTH = 0.05  # share of its strength that may be missing or too much
 
 

@@ -20,7 +20,8 @@ def explain_lag(joints: Records[Joint]) -> str:
     `JOINT`, shape (n,).
     """
     watch = joints['watch']
-    statistics, weights = watch['residual_statistics'], 1.0 / watch['threshold']
+    statistics = watch['residual_statistics']
+    weights = 1.0 / watch['threshold']
     areas = statistics['residual_integral'] * weights
     changes = (
         statistics['regressor'][:, WRENCH] - statistics['calm_wrench_torque']

@@ -11,9 +11,10 @@ from multicontact_control.records import Joint, Momentum, Records
 import numpy as np
 
 LEAST_FORCE = 3.0  # N, that tells it
-# How far off what is read may be from what the torques show in other axes, and must be in its
-# own, over its size.
-ALIKE, UNLIKE = 0.2, 0.5
+# Difference of what is read from what the torques show, over its size: at most in other axes, and
+# at least in its own.
+ALIKE = 0.2
+UNLIKE = 0.5
 AXES = 'xyz'
 
 
@@ -27,9 +28,8 @@ def all_exchanges() -> Matrix:
 
 
 EXCHANGES = all_exchanges()
-EXCHANGED = (
-    (EXCHANGES != np.eye(3)).any(axis=2).sum(axis=1)
-)  # how many axes are others in each
+# How many axes are others in each exchange.
+EXCHANGED = (EXCHANGES != np.eye(3)).any(axis=2).sum(axis=1)
 
 
 @np.errstate(all='ignore')  # of impossible efforts
@@ -68,18 +68,20 @@ def explain_axes(
         return ''
     # Of exchanges that are alike, as of two equal forces, the least.
     likeliest = np.argmin(errors + 0.5 * ALIKE * size * EXCHANGED)
-    told = []
+    findings = []
     for axis, force, row in zip(AXES, read, EXCHANGES[likeliest]):
         other = int(np.argmax(np.abs(row)))
-        sign = '-' if row[other] < 0.0 else ''
-        if abs(force) > 0.5 * UNLIKE * size and sign + AXES[other] != axis:
-            told.append(f'its {axis} is {sign}{AXES[other]}')
-    if not told:
+        true_axis = AXES[other]
+        if row[other] < 0.0:
+            true_axis = f'-{true_axis}'
+        if abs(force) > 0.5 * UNLIKE * size and true_axis != axis:
+            findings.append(f'its {axis} is {true_axis}')
+    if not findings:
         return ''
     x, y, z = shown
     return (
         f'the wrench sensor reads [{read[0]:.1f}, {read[1]:.1f}, {read[2]:.1f}] N where the '
-        f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(told)}; check '
+        f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(findings)}; check '
         'robot.sensor_frame and the axes of its driver'
     )
 
@@ -99,6 +101,6 @@ def _forces_at_the_sensor(
     torques = np.column_stack([felt, felt + watch['residual']]) / settled
     wrenches = fit_over_joints(jacobian.T, torques, watch['threshold'])
     read_world, shown_world = wrenches[:3].T
-    return rotation_world.T @ (read_world - weight), rotation_world.T @ (
-        shown_world - weight
-    )
+    read = rotation_world.T @ (read_world - weight)
+    shown = rotation_world.T @ (shown_world - weight)
+    return read, shown

@@ -13,14 +13,13 @@ UNITS = {
     'revolutions per minute': 30.0 / np.pi,
     'revolutions per second': 0.5 / np.pi,
 }  # over rad/s
-FEWEST, SLOWEST = 8, 0.01  # joint states, and rad/s, that say something
-SAME_AS_POSITION = (
-    1e-3  # of the largest position, by which a velocity may differ from it
-)
-CORRELATED = (
-    0.8  # square of the correlation from which on two velocities differ by a factor
-)
-RIGHT = 2.5  # factor by which a velocity may seem wrong
+FEWEST_STATES = 8  # joint states that say something
+SLOWEST_SPEED = 0.01  # rad/s that say something
+# Share of the largest position, by which a velocity may differ from it and still be the position.
+SAME_AS_POSITION = 1e-3
+# Square of the correlation, from which on two velocities differ by a factor.
+CORRELATED = 0.8
+ACCEPTED_FACTOR = 2.5  # by which a velocity may seem wrong
 SIMILAR = 0.25  # difference from a factor or an offset, relative to it
 LEAST_POWER = 1e-12  # rad^2/s^2, so that nothing is divided by 0
 
@@ -51,16 +50,16 @@ def explain_velocities(
         Empty if nothing speaks against them.
 
     """
-    if len(states) < FEWEST:
+    if len(states) < FEWEST_STATES:
         return ''
     joint = int(np.argmax(doubt))
-    position, velocity = states[:, joint], states[:, len(names) + joint]
+    position = states[:, joint]
+    velocity = states[:, len(names) + joint]
     fault = _explain_numbers(position, velocity)
     if not fault:
         rate = np.diff(position) / period
-        mean_velocity = 0.5 * (
-            velocity[1:] + velocity[:-1]
-        )  # as the rate is, of a period
+        # Of a period, as the rate is.
+        mean_velocity = 0.5 * (velocity[1:] + velocity[:-1])
         fault = _explain_rate(mean_velocity, rate, doubted=doubt[joint] > 1.0)
     if not fault:
         return ''
@@ -82,14 +81,15 @@ def _explain_numbers(position: Vector, velocity: Vector) -> str:
 
 def _explain_rate(velocity: Vector, rate: Vector, *, doubted: bool) -> str:
     """Return how a velocity differs from the rate of its position, shape (k,) [rad/s]."""
-    if max(np.abs(rate).max(), np.abs(velocity).max()) < SLOWEST:
+    if max(np.abs(rate).max(), np.abs(velocity).max()) < SLOWEST_SPEED:
         return ''
-    power, rate_power, common = velocity @ velocity, rate @ rate, velocity @ rate
+    power = velocity @ velocity
+    rate_power = rate @ rate
+    common = velocity @ rate
     if common**2 >= CORRELATED * (power * rate_power):
-        ratio = np.copysign(
-            np.sqrt(power / max(float(rate_power), LEAST_POWER)), common
-        )
-        if not 1.0 / RIGHT < ratio < RIGHT:
+        size = np.sqrt(power / max(float(rate_power), LEAST_POWER))
+        ratio = np.copysign(size, common)
+        if not 1.0 / ACCEPTED_FACTOR < ratio < ACCEPTED_FACTOR:
             return f'is {_name_factor(float(ratio))}'
     if not doubted:
         return ''

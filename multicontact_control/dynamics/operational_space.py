@@ -28,8 +28,8 @@ from multicontact_control.records import (
     Records,
 )
 
-MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
-STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away from it
+MAX_MOBILITY_CONDITION = 1e8  # of Lambda^-1; a posture is singular beyond
+STOP_MARGIN = 0.1  # rad before its stop, within which a joint is pushed away from it
 
 
 class InertiaSpace(Record, Protocol):
@@ -82,34 +82,39 @@ def mobility_and_inertia(
         smallest eigenvalue of Lambda^-1 before it is damped, at least [1/kg].
 
     """
-    n, mobility = mass_matrix.shape[0], space.mobility
-    L, Y = space.L[:n, :n], space.Y[:n]
+    n = mass_matrix.shape[0]
+    mobility = space.mobility
+    L = space.L[:n, :n]
+    Y = space.Y[:n]
     if not cholesky(mass_matrix, L, 0.0):
         return -1.0, 0.0
     Y[:] = jacobian.T
     solve_lower_columns(L, Y)
     gram_matrix(Y, mobility)
-    smallest, trace = 0.0, 0.0
+    smallest = 0.0
+    trace = 0.0
     for i in range(6):
         trace += mobility[i, i]
     if invert_symmetric(mobility, space.factor, space.root, space.Lambda):
         smallest = 1.0 / frobenius_norm(space.Lambda)
-    if smallest >= singular_mobility and smallest * MAX_CONDITION > trace:
+    if smallest >= singular_mobility and smallest * MAX_MOBILITY_CONDITION > trace:
         return 0.0, smallest
-    eigenvalues, damping = space.factor, 0.0
+    eigenvalues = space.factor
     eigenvalues[:] = mobility
     diagonalise(eigenvalues, space.root)
-    smallest = largest = eigenvalues[0, 0]
+    smallest = eigenvalues[0, 0]
+    largest = eigenvalues[0, 0]
     for i in range(1, 6):
         smallest = min(smallest, eigenvalues[i, i])
         largest = max(largest, eigenvalues[i, i])
+    damping = 0.0
     if singular_mobility > 0.0 and smallest < singular_mobility:
         damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
         for i in range(6):
             mobility[i, i] += damping
-    if (
-        not (smallest + damping) * MAX_CONDITION > largest + damping
-    ):  # or it is not a number
+    # False for a number that is none, too.
+    is_regular = (smallest + damping) * MAX_MOBILITY_CONDITION > largest + damping
+    if not is_regular:
         return -1.0, smallest
     invert_symmetric(mobility, space.factor, space.root, space.Lambda)
     return damping, smallest
@@ -139,12 +144,14 @@ def mobility_gradient(
     n = jacobian.shape[1]
     multiply_vector(Y, direction, joint_rates)
     solve_lower_transposed(L, joint_rates)  # M^-1 J^T u
-    linear, angular = direction[:3], direction[3:]
+    linear = direction[:3]
+    angular = direction[3:]
     for k in range(n):
         gradient[k] = 0.0
         for i in range(n):
-            first, second = (k, i) if k <= i else (i, k)
-            change = cross(jacobian[3:, first], jacobian[:3, second])
+            nearer = min(k, i)  # to the base
+            farther = max(k, i)
+            change = cross(jacobian[3:, nearer], jacobian[:3, farther])
             gradient[k] += 2.0 * joint_rates[i] * dot(linear, change)
             if k <= i:
                 change = cross(jacobian[3:, k], jacobian[3:, i])
@@ -178,9 +185,9 @@ def add_nullspace_torque(
         joint = joints[j]
         below = max(STOP_MARGIN - (joint.q - joint.config.lower), 0.0)
         above = max(STOP_MARGIN - (joint.config.upper - joint.q), 0.0)
-        push = law.stop_stiffness * below * below / STOP_MARGIN - (
-            law.stop_stiffness * above * above / STOP_MARGIN
-        )
+        push_up = law.stop_stiffness * below * below / STOP_MARGIN
+        push_down = law.stop_stiffness * above * above / STOP_MARGIN
+        push = push_up - push_down
         pull[j] = law.posture_stiffness * (joint.config.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0

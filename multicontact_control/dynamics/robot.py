@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 POSTURES = 64  # in which gravity is compared with the torque limits
-CROSS = 0.01  # m, between axes that meet, whose link may have no mass
+MEETING_AXES = 0.01  # m, between axes whose link may have no mass
 
 
 @dataclass(slots=True)
@@ -75,13 +75,11 @@ class RobotModel:
         self._model = load_model(base_dir / config.urdf, config.locked, self._warnings)
         names = list(self._model.names)[1:]
         if names != list(config.joint_names):
+            expected = f"the robot's joints {names}"
             others = [name for name in names if name not in config.joint_names]
-            raise ConfigError(
-                'robot.joint_names',
-                f"the robot's joints {names}"
-                + (f', or {others} in robot.locked_joints' if others else ''),
-                list(config.joint_names),
-            )
+            if others:
+                expected = f'{expected}, or {others} in robot.locked_joints'
+            raise ConfigError('robot.joint_names', expected, list(config.joint_names))
         if len(names) > MAX_JOINTS:
             raise ConfigError(
                 'robot.joint_names',
@@ -102,8 +100,10 @@ class RobotModel:
         self._mount = self._model.frames[self._sensor]
         self._body = pin.Inertia(self._model.inertias[self._mount.parentJoint])
         self.last_mass = float(self._body.mass)
-        data = self._data = self._model.createData()
-        frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
+        self._data = self._model.createData()
+        data = self._data
+        frame = data.oMf[self._frame]
+        sensor = data.oMf[self._sensor]
         self.terms = Terms(  # pinocchio's memory, so that nothing needs to be copied
             mass_matrix=data.M,
             bias_torque=data.nle,
@@ -117,42 +117,50 @@ class RobotModel:
                 sensor.rotation,
             ),
         )
-        self.turning: Mask = np.array(
-            ['ModelR' in x.shortname() for x in self._model.joints[1:]]
-        )
+        kinds = [joint.shortname() for joint in self._model.joints[1:]]
+        self.turning: Mask = np.array(['ModelR' in kind for kind in kinds])
 
     @property
     def joint_count(self) -> int:
-        """Return the number of joints n."""
+        """The number of joints n."""
         return int(self._model.nv)
 
     @property
     def torque_limit(self) -> Vector:
-        """Return what the URDF says of the joints' largest torques, shape (n,) [N m]."""
+        """The largest torques of the joints by the URDF, infinite without, shape (n,) [N m]."""
         limit = np.array(self._model.effortLimit)
         return np.where(limit > 0.0, limit, np.inf)
 
     def warnings(self, torque_limit: Sequence[float] = ()) -> tuple[str, ...]:
-        """Return what is suspicious; see `check_torques`, of these limits or the URDF's [N m]."""
+        """
+        Return what is suspicious of the model, a line each; see `check_torques`.
+
+        The torque limits, shape (n,) [N m], are those of the URDF if none are given. ConfigError
+        if the arm cannot be held with them.
+        """
         limit = np.array(torque_limit) if torque_limit else self.torque_limit
         return (*self._warnings, *check_torques(self._model, limit, self._adds_gravity))
 
     def _require_felt(self, config: RobotConfig) -> None:
         """Refuse contacts that the wrist sensor cannot feel: those of a link before it."""
-        joints = [
-            self._model.names[self._model.frames[frame].parentJoint]
-            for frame in (self._frame, self._sensor)
-        ]
-        if joints[0] != joints[1]:
+        model = self._model
+        carrier = model.names[model.frames[self._frame].parentJoint]
+        sensor_carrier = model.names[model.frames[self._sensor].parentJoint]
+        if carrier != sensor_carrier:
             raise ConfigError(
                 'robot.operational_frame',
-                f'a link that is carried by {joints[1]}, as the wrist '
+                f'a link that is carried by {sensor_carrier}, as the wrist '
                 f"sensor on '{config.sensor_frame}' is, which feels nothing else",
-                f"'{config.operational_frame}', carried by {joints[0]}",
+                f"'{config.operational_frame}', carried by {carrier}",
             )
 
     def _frame_id(self, field: str, name: str) -> int:
-        bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
+        """Return pinocchio's number of a link; ConfigError of the field if there is none."""
+        bodies = [
+            frame.name
+            for frame in self._model.frames
+            if frame.type == pin.FrameType.BODY
+        ]
         if name not in bodies:
             raise ConfigError(
                 field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'"
@@ -160,11 +168,16 @@ class RobotModel:
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
     def compute(self, q: Vector, v: Vector) -> Terms:
-        """Return `terms` at positions [rad] and velocities [rad/s], valid until the next call."""
-        model, data, terms = self._model, self._data, self.terms
-        pin.computeAllTerms(
-            model, data, q, v
-        )  # M, C v + g, and what the Jacobians need
+        """
+        Return `terms` at positions [rad] and velocities [rad/s], shape (n,).
+
+        They are in pinocchio's memory, and so valid until the next call.
+        """
+        model = self._model
+        data = self._data
+        terms = self.terms
+        # M, C v + g, and what the Jacobians need.
+        pin.computeAllTerms(model, data, q, v)
         pin.updateFramePlacements(model, data)
         terms.jacobian = pin.getFrameJacobian(
             model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
@@ -175,11 +188,17 @@ class RobotModel:
         return terms
 
     def update(self, q: Vector, v: Vector) -> RobotState:
-        """Return the arm's state at positions [rad] and velocities [rad/s], shape (n,)."""
+        """
+        Return the arm's state at positions [rad] and velocities [rad/s], shape (n,).
+
+        Its arrays stay as they are; ShapeError for positions or velocities of another shape.
+        """
         require_shape('q', q, (self._model.nv,))
         require_shape('v', v, (self._model.nv,))
-        terms, data = self.compute(q, v), self._data
-        upper, gravity = np.triu(terms.mass_matrix), terms.gravity.copy()
+        terms = self.compute(q, v)
+        data = self._data
+        upper = np.triu(terms.mass_matrix)
+        gravity = terms.gravity.copy()
         jacobian = np.ascontiguousarray(terms.jacobian)
         return RobotState(
             mass_matrix=upper + np.triu(upper, 1).T,
@@ -210,8 +229,9 @@ class RobotModel:
         g(q) is linear in the vector of gravity: a column for each world axis, shape (n, 3)
         [N m per m/s^2].
         """
-        model, data = self._model, self._model.createData()
-        known = model.gravity.linear.copy()
+        model = self._model
+        data = model.createData()
+        gravity_before = model.gravity.linear.copy()
         columns = []
         for axis in np.eye(3):
             model.gravity.linear = axis
@@ -219,25 +239,28 @@ class RobotModel:
                 pin.computeGeneralizedGravity(model, data, q)
                 - self.compute_load_torque(load)
             )
-        model.gravity.linear = known
+        model.gravity.linear = gravity_before
         return np.array(columns).T
 
     def carry_load(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
         """Let the model carry a point mass on the sensor in place of one that its URDF has."""
-        parameters = (
-            self._body.toDynamicParameters()
-        )  # linear in mass, first and second moments
-        for sign, each in ((1.0, load), (-1.0, in_urdf)):
-            body = pin.Inertia(each.mass, np.array(each.com_sensor), np.zeros((3, 3)))
-            parameters += sign * self._mount.placement.act(body).toDynamicParameters()
-        self._model.inertias[self._mount.parentJoint] = (
-            self._body
-            if load == in_urdf
-            else pin.Inertia.FromDynamicParameters(parameters)
-        )
+        last_body = self._body
+        if load != in_urdf:
+            # Linear in mass, first and second moments.
+            parameters = self._body.toDynamicParameters()
+            parameters += self._point_mass(load)
+            parameters += -1.0 * self._point_mass(in_urdf)
+            last_body = pin.Inertia.FromDynamicParameters(parameters)
+        self._model.inertias[self._mount.parentJoint] = last_body
+
+    def _point_mass(self, load: ToolConfig) -> Vector:
+        """Return pinocchio's dynamic parameters of a load on the sensor, shape (10,)."""
+        inertia = pin.Inertia(load.mass, np.array(load.com_sensor), np.zeros((3, 3)))
+        parameters: Vector = self._mount.placement.act(inertia).toDynamicParameters()
+        return parameters
 
     def compute_link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
-        """Return where links are at positions, shape (n,) [rad]; ConfigError for others."""
+        """Return the poses of links at positions, shape (n,) [rad]; ConfigError if unknown."""
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
         return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
@@ -272,43 +295,47 @@ def load_model(
         figures are impossible (`model_check`).
 
     """
-    source = str(urdf) if isinstance(urdf, Path) else 'text'
     locked = dict(locked_joints or {})
+    text: str | bytes
     try:
-        text = (
-            urdf.read_bytes() if isinstance(urdf, Path) else urdf
-        )  # which has its encoding
+        if isinstance(urdf, Path):
+            source = str(urdf)
+            text = urdf.read_bytes()  # the XML names its encoding
+        else:
+            source = 'text'
+            text = urdf
         root = _read_root(text, source)
         _remove_shapes(root)
         _refuse_followers(root, locked)
-        axes, endless = _complete(root)
+        axes = _read_axes(root)
+        endless = _complete_limits(root)
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
     except OSError as error:
         raise ConfigError(
             'robot.urdf', 'a readable URDF file', f'{source} ({error.strerror})'
         ) from None
     except (ValueError, RuntimeError) as error:
-        reason = (
-            str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
-        )
+        reasons = str(error).strip().splitlines() or ['not a URDF']
         raise ConfigError(
-            'robot.urdf', 'a valid URDF', f'{source} ({reason})'
+            'robot.urdf', 'a valid URDF', f'{source} ({reasons[-1]})'
         ) from None
     names = list(model.names)[1:]
-    if unknown := [name for name in locked if name not in names]:
+    unknown = [name for name in locked if name not in names]
+    if unknown:
         raise ConfigError(
             'robot.locked_joints', f'joints among {", ".join(names)}', unknown
         )
     if locked:
-        model = _locked(model, locked)
+        model = _lock_joints(model, locked)
     if model.nq != model.nv:
         raise ConfigError('robot.urdf', 'joints with one coordinate each', source)
     for name in endless - set(locked):
         at = model.joints[model.getJointId(name)].idx_q
-        model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
-    (warnings if warnings is not None else []).extend(
-        model_check.collect_warnings(_findings(model, axes))
-    )
+        model.lowerPositionLimit[at] = -np.inf
+        model.upperPositionLimit[at] = np.inf
+    suspicious = model_check.collect_warnings(_find_defects(model, axes))
+    if warnings is not None:
+        warnings.extend(suspicious)
     return model
 
 
@@ -318,12 +345,12 @@ def _read_root(text: str | bytes, source: str) -> ElementTree.Element:
         root = parse_urdf(text)
         check_link_tree(root)
     except ConfigError as error:
-        raise error.moved(f'robot.{error.field}', source) from None
+        raise error.as_config_error(f'robot.{error.field}', source) from None
     return root
 
 
 def _remove_shapes(root: ElementTree.Element) -> None:
-    """Remove what links look like, and where they collide: no part of the model."""
+    """Remove the shapes of links, seen or colliding, which are no part of the model."""
     for link in root.findall('link'):
         for name in ('visual', 'collision'):
             for shape in link.findall(name):
@@ -331,7 +358,7 @@ def _remove_shapes(root: ElementTree.Element) -> None:
 
 
 class Follower(NamedTuple):
-    """What a joint of a URDF does that mimics another: multiplier x leader + offset."""
+    """The coupling of a joint that mimics another, to multiplier x leader + offset."""
 
     leader: str
     multiplier: float
@@ -350,7 +377,8 @@ def find_followers(root: ElementTree.Element) -> dict[str, Follower]:
         mimic = joint.find('mimic')
         if mimic is None or joint.get('type') == 'fixed':
             continue
-        name, numbers = joint.get('name', ''), dict[str, float]()
+        name = joint.get('name', '')
+        numbers: dict[str, float] = {}
         for key, default in (('multiplier', '1'), ('offset', '0')):
             text = mimic.get(key, default)
             try:
@@ -377,40 +405,45 @@ def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) ->
                 )
             )
     if errors:
-        raise ConfigError.of(errors)
+        raise ConfigError.combine(errors)
 
 
-def _complete(root: ElementTree.Element) -> tuple[dict[str, Vector], set[str]]:
+def _read_axes(root: ElementTree.Element) -> dict[str, Vector]:
+    """Return the axes of the joints of a URDF by name, shape (3,); x where it does not say."""
+    axes = {}
+    for joint in root.findall('joint'):
+        axis = joint.find('axis')
+        text = '1 0 0'
+        if axis is not None:
+            text = axis.get('xyz', text)
+        axes[joint.get('name', '')] = np.array(text.split(), dtype=float)
+    return axes
+
+
+def _complete_limits(root: ElementTree.Element) -> set[str]:
     """
-    Give joints the limits they lack; return their axes by name, and which are endless.
+    Give joints the limits they lack; return the names of those that turn without an end.
 
-    What mimics another is locked, and so independent: pinocchio's versions differ in what they
-    make of the element.
+    A joint that mimics another is locked, and so independent: pinocchio's versions differ in what
+    they make of the element.
     """
-    axes, endless = {}, set()
+    endless = set()
     for joint in root.findall('joint'):
         for mimic in joint.findall('mimic'):
             joint.remove(mimic)
-        name, axis, limit = (
-            joint.get('name', ''),
-            joint.find('axis'),
-            joint.find('limit'),
-        )
-        axes[name] = np.array(
-            ('1 0 0' if axis is None else axis.get('xyz', '1 0 0')).split(), dtype=float
-        )
+        limit = joint.find('limit')
         if limit is None:
             limit = ElementTree.SubElement(joint, 'limit')
         for missing in {'effort', 'velocity'} - set(limit.keys()):
             limit.set(missing, '0')
         if joint.get('type') == 'continuous':
-            endless.add(name)
+            endless.add(joint.get('name', ''))
             joint.set('type', 'revolute')
             limit.attrib.update(lower='-1e30', upper='1e30')
-    return axes, endless
+    return endless
 
 
-def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
+def _lock_joints(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
     """Return a model with joints at these positions made rigid."""
     posture = pin.neutral(model)
     for name, position in locked.items():
@@ -422,9 +455,8 @@ def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
         posture[joint.idx_q] = position
     # Pinocchio looks joints up among all frames, where a link may have the same name.
     for frame in model.frames:
-        frame.name = (
-            f' {frame.name}' if frame.type == pin.FrameType.BODY else frame.name
-        )
+        if frame.type == pin.FrameType.BODY:
+            frame.name = f' {frame.name}'
     reduced = pin.buildReducedModel(
         model, [model.getJointId(name) for name in locked], posture
     )
@@ -433,68 +465,85 @@ def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
     return reduced
 
 
-def _findings(
+def _find_defects(
     model: pin.Model, axes: Mapping[str, Vector]
 ) -> Iterator[model_check.Finding]:
-    """Yield what is wrong with the joints of an arm and with what they carry."""
-    offsets = [
-        float(np.linalg.norm(each.translation)) for each in model.jointPlacements
-    ]
-    for joint, body in enumerate(model.inertias[1:], start=1):
+    """Yield defects of the joints of an arm and of the bodies that they carry."""
+    for joint in range(1, model.njoints):
         name = model.names[joint]
         yield from model_check.check_joint(
             name,
             axes[name],
-            *(
-                limit[joint - 1]
-                for limit in (model.lowerPositionLimit, model.upperPositionLimit)
-            ),
+            model.lowerPositionLimit[joint - 1],
+            model.upperPositionLimit[joint - 1],
         )
-        frames = [frame for frame in model.frames if frame.parentJoint == joint]
-        fixed = [
-            frame for frame in frames if frame.inertia.mass
-        ]  # to the link of the joint
-        parts = [frame.inertia.mass for frame in fixed]
-        after = [
-            offsets[i] for i, parent in enumerate(model.parents) if parent == joint
-        ]
-        if body.mass or min(after, default=1.0) > CROSS:
-            length = max(
-                offsets[joint],
-                *(after or offsets),
-                *(
-                    float(np.linalg.norm(frame.placement.translation))
-                    for frame in frames
-                ),
-            )
-            yield from model_check.check_body(
-                '+'.join(frame.name for frame in (frames[1], *fixed)),
-                length,
-                body.mass,
-                min(body.mass - sum(parts), *parts, 0.0),
-                body.lever,
-                body.inertia,
-            )
+        body = _body_of(model, joint)
+        if body is not None:
+            yield from model_check.check_body(body)
+
+
+def _body_of(model: pin.Model, joint: int) -> model_check.Body | None:
+    """Return the links that a joint carries; None of a massless link between axes that meet."""
+    offsets = [
+        float(np.linalg.norm(placement.translation))
+        for placement in model.jointPlacements
+    ]
+    to_next = [
+        offset for offset, parent in zip(offsets, model.parents) if parent == joint
+    ]
+    inertia = model.inertias[joint]
+    if not inertia.mass and min(to_next, default=1.0) <= MEETING_AXES:
+        return None
+    frames = [frame for frame in model.frames if frame.parentJoint == joint]
+    fixed = [frame for frame in frames if frame.inertia.mass]  # to the joint's own link
+    fixed_masses = [frame.inertia.mass for frame in fixed]
+    reaches = [float(np.linalg.norm(frame.placement.translation)) for frame in frames]
+    names = [frame.name for frame in (frames[1], *fixed)]
+    return model_check.Body(
+        name='+'.join(names),
+        length=max(offsets[joint], *(to_next or offsets), *reaches),
+        mass=inertia.mass,
+        least_mass=min(inertia.mass - sum(fixed_masses), *fixed_masses, 0.0),
+        com=inertia.lever,
+        inertia=inertia.inertia,
+    )
 
 
 def check_torques(
     model: pin.Model,
-    limit: Vector,
+    limits: Vector,
     adds_gravity: bool = False,
 ) -> tuple[str, ...]:
-    """Return what is suspicious of torque limits [N m]; ConfigError if the arm cannot be held."""
-    data, gravity = model.createData(), largest_gravity(model)
-    inertia = np.min(
+    """
+    Return what is suspicious of torque limits, a line each.
+
+    Parameters
+    ----------
+    model
+        The arm, of n joints.
+    limits
+        Largest torques, infinite where there is none, shape (n,) [N m].
+    adds_gravity
+        Whether the robot itself adds the torques of gravity, which then count for 0.
+
+    Raises
+    ------
+    ConfigError
+        If gravity is far beyond a limit, or nothing turns about an axis.
+
+    """
+    data = model.createData()
+    inertias = np.min(
         [np.diag(pin.crba(model, data, q)) for q in _postures(model)], axis=0
     )
-    heaviest = max(range(model.njoints), key=lambda joint: model.inertias[joint].mass)
-    heavy = f'{model.inertias[heaviest].mass:.4g} kg on {model.names[heaviest]}'
-    figures = zip(list(model.names)[1:], (not adds_gravity) * gravity, inertia, limit)
-    return model_check.collect_warnings(
-        finding
-        for each in figures
-        for finding in model_check.check_torque(*each, heavy)
-    )
+    gravity = (not adds_gravity) * largest_gravity(model)
+    masses = [inertia.mass for inertia in model.inertias]
+    heaviest = int(np.argmax(masses))
+    heavy = f'{masses[heaviest]:.4g} kg on {model.names[heaviest]}'
+    findings: list[model_check.Finding] = []
+    for figures in zip(list(model.names)[1:], gravity, inertias, limits):
+        findings += model_check.check_load(model_check.JointLoad(*figures), heavy)
+    return model_check.collect_warnings(findings)
 
 
 def largest_gravity(model: pin.Model) -> Vector:
@@ -512,4 +561,5 @@ def _postures(model: pin.Model) -> Matrix:
 
 
 def _pose(placement: pin.SE3) -> Pose:
+    """Return a placement of pinocchio in arrays of its own."""
     return Pose(placement.translation.copy(), np.ascontiguousarray(placement.rotation))

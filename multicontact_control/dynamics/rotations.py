@@ -55,9 +55,8 @@ def rotation_vector_between(rotation_des: Matrix, rotation: Matrix) -> Triple:
     vector = (0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy))  # its skew part
     cosine = 0.5 * (xx + yy + zz - 1.0)
     sine = vector_length(vector)
-    if (
-        cosine < -0.99
-    ):  # near half a turn the skew part vanishes and no longer names the axis
+    if cosine < -0.99:
+        # Near half a turn the skew part vanishes, and no longer names the axis.
         x, y, z, w = quaternion_from_rotation(error)
         sine = vector_length((x, y, z))
         angle = 2.0 * np.arctan2(sine, abs(w))

@@ -73,8 +73,11 @@ def _refuse_ignored_turns(root: ElementTree.Element) -> None:
 
 def find_joint_ends(joint: ElementTree.Element) -> tuple[str, str]:
     """Return parent and child link of a joint; empty where it does not say."""
-    ends = (joint.find('parent'), joint.find('child'))
-    parent, child = ('' if end is None else end.get('link', '') for end in ends)
+    links = []
+    for end in ('parent', 'child'):
+        element = joint.find(end)
+        links.append('' if element is None else element.get('link', ''))
+    parent, child = links
     return parent, child
 
 

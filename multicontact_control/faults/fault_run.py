@@ -37,7 +37,7 @@ def resolve_with_obstacles(scenario: str, plant: str, seed: int) -> Setup:
     """
     setup = resolve(scenario, plant=plant, seed=seed)
     tip = setup.plant.surfaces[setup.plant.contact_names[0]].tip_link
-    elbow, elbow_normal = plant_source(plant).robot.elbow()
+    elbow, elbow_normal = plant_source(plant).robot.find_elbow()
     walls = {
         'side_wall': _distant_wall(tip, np.array([1.0, 0.0, 0.0]), 3000.0),
         'elbow_wall': _distant_wall(elbow, elbow_normal, 6000.0),

@@ -8,7 +8,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ToolConfig
-from multicontact_control.control.tasks import MotionReading, sine_motion
+from multicontact_control.control.tasks import evaluate_sine_motion, MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
 from multicontact_control.faults.course import Course
@@ -71,7 +71,7 @@ class SituationRun:
         motion = setup.scenario.reference.motion
         ways: list[Any]
         if self._is_scenario and motion is not None:
-            ways = [sine_motion(motion, time) for time in times]
+            ways = [evaluate_sine_motion(motion, time) for time in times]
         else:
             start = self._situation.motion_time
             ways = [self._course.way_at(time - start) for time in times]

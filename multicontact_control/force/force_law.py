@@ -25,12 +25,12 @@ from multicontact_control.force.margins import (
     spectral_radius,
 )
 from multicontact_control.force.observer import (
-    command,
+    command_acceleration,
     command_rest,
     continue_observers_after_pause,
     continue_observers_from,
     make_observers,
-    observe,
+    observe_force,
     Observer,
     ObserverDesign,
     ObserverSpace,
@@ -58,20 +58,21 @@ from multicontact_control.registry import FORCE_LAWS
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
-# G, by which a tip is kept at the speed it may have where no surface has answered: K_2 between
-# these, which the drives are known to bear; and what of its square the integral has.
-SLOWEST_BOUND, FASTEST_BOUND, BOUND_SHARE = 60.0, 80.0, 0.125  # 1/s, 1/s, -
-BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
-RATIOS = tuple(
-    np.geomspace(1.0, 100.0, 9).tolist()
-)  # where the loop's limit is looked for
+# G, the gain that keeps a tip at its speed where no surface has answered: K_2 between these two,
+# which the drives are known to bear; the integral has this share of its square.
+SLOWEST_BOUND = 60.0  # 1/s
+FASTEST_BOUND = 80.0  # 1/s
+BOUND_SHARE = 0.125
+BORNE_TIME = 0.05  # s, time constant in which the bearing of a surface is forgotten
+# True over modelled stiffness, at which the limit of the loop is looked for.
+STIFFNESS_RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())
 Gains = tuple[tuple[str, Any], ...]  # fields of `ForceConfig`, and their values
 
 
 class ForceLaw(Record, Protocol):
     """The force law of one contact, of which one part is at work."""
 
-    kind: int  # number of the law in the registry, see `force.laws`
+    kind: int  # place of the law in the registry
     is_linear: bool  # whether `linear` is at work, or `observer`
     fed: int  # what is fed forward: ESTIMATE, DESIRED, MIXED or MEASURED
     observer: Observer
@@ -94,14 +95,14 @@ FORCE_SPACE = record_dtype(ForceSpace)
 
 
 def make_loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
-    """Return what the force law of a contact of a stiffness [N/m] is designed for."""
+    """Return the model that the force law of a contact of a stiffness [N/m] is designed for."""
     return LoopModel(
         stiffness, config.force.damping_rate, config.loop_delay, config.period
     )
 
 
 def select_gains(name: str, force: ForceConfig) -> Gains:
-    """Return what the design of a law reads, by name: the same gains are designed for once."""
+    """Return the fields that the design of a law reads: equal gains share one design."""
     return tuple((field, getattr(force, field)) for field in find_law(name).reads)
 
 
@@ -109,24 +110,27 @@ def design_law(
     name: str, force: ForceConfig, model: LoopModel
 ) -> ObserverDesign | LinearLaw:
     """
-    Return a force law of the registry; its arrays are not to be changed.
+    Return a law of the registry, designed for a model of the contact.
+
+    Equal gains and models give the same object, whose arrays are not to be changed.
 
     Raises
     ------
     ConfigError
-        If there is none, or none of finite numbers.
+        If these gains and this model lead to no law, or to none of finite numbers.
 
     """
-    return _design_of(name, select_gains(name, force), model)
+    return _design_cached(name, select_gains(name, force), model)
 
 
-@lru_cache(
-    maxsize=64
-)  # most contacts are alike, and most live changes are of other gains
-def _design_of(name: str, gains: Gains, model: LoopModel) -> ObserverDesign | LinearLaw:
-    # A design has what it says that it reads, and nothing that the key is without.
+# Most contacts are alike, and most live changes are of gains that a design does not read.
+@lru_cache(maxsize=64)
+def _design_cached(
+    name: str, gains: Gains, model: LoopModel
+) -> ObserverDesign | LinearLaw:
+    # Of the configuration the design sees these gains alone, on which the cache depends.
     force: Any = SimpleNamespace(**dict(gains))
-    with _designing(name):
+    with _name_law_in_errors(name):
         design = find_law(name).design(model, force)
         for field in fields(design):
             value = getattr(design, field.name)
@@ -136,7 +140,7 @@ def _design_of(name: str, gains: Gains, model: LoopModel) -> ObserverDesign | Li
 
 
 @contextmanager
-def _designing(name: str) -> Iterator[None]:
+def _name_law_in_errors(name: str) -> Iterator[None]:
     try:
         with np.errstate(all='ignore'):
             yield
@@ -148,87 +152,91 @@ def _designing(name: str) -> Iterator[None]:
 
 def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
     """
-    Return the force law of every contact, which knows nothing yet, shape (r,).
+    Return the force law of every column of N before its first sample, shape (r,).
 
-    Each is for the configured stiffness; adaptive laws start from the largest of their range.
+    Each is designed for the configured stiffness; adaptive laws start from the largest of their
+    range.
     """
     laws: Records[ForceLaw] = np.zeros(len(config.columns), dtype=FORCE_LAW)
-    names, force = list(FORCE_LAWS), config.force
-    adaptive = force.stiffness == 'adaptive'
-    limits = []
-    if adaptive:
-        stiffnesses = np.geomspace(
-            force.adaptive.lowest, force.adaptive.highest, LIMITS
-        )
-        gains = select_gains('aob', force)
-        limits = [
-            find_largest_stiffness_ratio(
-                gains, make_loop_model(config, k), config.initial_noise_variance
-            )
-            for k in stiffnesses.tolist()
-        ]
+    names = list(FORCE_LAWS)
+    adaptive = config.force.stiffness == 'adaptive'
+    ratio_limits = find_ratio_limits(config) if adaptive else []
     for law, column in zip(laws, config.columns):
-        name = config.law_of(column.contact)
-        stiffness = force.adaptive.highest if adaptive else column.stiffness
-        design = design_law(name, force, make_loop_model(config, stiffness))
+        name = config.force_law_of(column.contact)
+        stiffness = config.force.adaptive.highest if adaptive else column.stiffness
+        design = design_law(name, config.force, make_loop_model(config, stiffness))
         law['kind'] = names.index(name)
-        law['fed'] = get_args(FedForward).index(force.fed_forward)
+        law['fed'] = get_args(FedForward).index(config.force.fed_forward)
         law['stiffness']['k'] = stiffness
         if isinstance(design, LinearLaw):
-            law['is_linear'], law['linear'] = True, design.record()[0]
+            law['is_linear'] = True
+            law['linear'] = design.record()[0]
             continue
         law['observer'] = make_observers([design])[0]
         if adaptive:
-            of_observer = law['observer']['design']
-            of_observer['Phi_c'] = of_observer['Phi_n']  # see `answer_contact_forces`
+            # The prediction is that of the open loop, see `answer_contact_forces`.
+            law['observer']['design']['Phi_c'] = law['observer']['design']['Phi_n']
             set_up_stiffness(
                 law['stiffness'],
                 design.loop.plant,
                 stiffness,
-                force,
+                config.force,
                 period=config.period,
                 tool_mass=config.tool.mass,
-                ratio_limits=limits,
+                ratio_limits=ratio_limits,
             )
             if column.kind != FORCE:
+                leader = config.columns[column.leader]
                 law['stiffness']['config']['share'] = (
-                    column.stiffness / config.columns[column.leader].stiffness
+                    column.stiffness / leader.stiffness
                 )
     return laws
 
 
-@lru_cache(
-    maxsize=64
-)  # the first sample and a live change are not to wait for it once more
+def find_ratio_limits(config: ControllerConfig) -> list[float]:
+    """
+    Return how many times as stiff as its model a surface may be, over the adaptive range.
+
+    One limit for each of `LIMITS` models from the softest to the stiffest, equal ratios apart.
+    """
+    adaptive = config.force.adaptive
+    gains = select_gains('aob', config.force)
+    limits = []
+    for stiffness in np.geomspace(adaptive.lowest, adaptive.highest, LIMITS).tolist():
+        model = make_loop_model(config, stiffness)
+        limits.append(
+            find_largest_stiffness_ratio(gains, model, config.initial_noise_variance)
+        )
+    return limits
+
+
+@lru_cache(maxsize=64)  # neither the first sample nor a live change waits for it again
 def find_largest_stiffness_ratio(
     gains: Gains, model: LoopModel, noise_variance: float
 ) -> float:
     """
     Return how many times as stiff as its model a surface may be, with a constant R [N^2].
 
-    `gains` are those of the observer, see `select_gains`.
+    The loop is that of the active observer with these gains, see `select_gains`; the answer is at
+    most the largest of `STIFFNESS_RATIOS`.
     """
-    none = np.zeros((1, 1))
-    with _designing('aob'):
-        design = cast(ObserverDesign, _design_of('aob', gains, model))
+    with _name_law_in_errors('aob'):
+        design = cast(ObserverDesign, _design_cached('aob', gains, model))
         law = make_steady_law(design, solve_steady_gain(design, noise_variance))
 
-        def stable(ratio: float) -> bool:
+        def is_stable(ratio: float) -> bool:
             plant = LinearArmPlant(
-                none,
-                np.array([ratio * model.stiffness]),
-                np.zeros(1),
-                none,
-                model.input_delay,
+                mobility=np.zeros((1, 1)),
+                stiffness=np.array([ratio * model.stiffness]),
+                damping=np.zeros(1),
+                tool_inertia=np.zeros((1, 1)),
+                delay=model.input_delay,
             )
-            return (
-                spectral_radius(
-                    closed_loop(plant, law, model.damping_rate, model.period)
-                )
-                < 1.0
-            )
+            loop = closed_loop(plant, law, model.damping_rate, model.period)
+            return spectral_radius(loop) < 1.0
 
-        return min(find_last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
+        last_stable, _ = find_last_stable(is_stable, STIFFNESS_RATIOS, 1e-2)
+        return min(last_stable, STIFFNESS_RATIOS[-1])
 
 
 def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
@@ -239,53 +247,72 @@ def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
     and the disturbance that is compensated.
     """
     for i in range(len(laws)):
-        law, other = laws[i : i + 1], others[i : i + 1]
-        taken, part = known(other[0]), 'linear' if law['is_linear'][0] else 'observer'
-        same = law['kind'][0] == other['kind'][0] and (
-            law[part]['design']['states'][0] == other[part]['design']['states'][0]
+        # A slice of one: a record on its own would be a copy.
+        if laws['is_linear'][i]:
+            _continue_linear_law(laws[i : i + 1], others[i : i + 1])
+        else:
+            _continue_observer(laws[i : i + 1], others[i : i + 1])
+
+
+def _continue_linear_law(
+    new_law: Records[ForceLaw], old_law: Records[ForceLaw]
+) -> None:
+    """Let a linear law go on from the state of another law; both of shape (1,)."""
+    new = new_law['linear']
+    old = old_law['linear']
+    design = new['design']
+    if new_law['kind'] == old_law['kind'] and (
+        design['states'] == old['design']['states']
+    ):
+        for name in ('x', 'extra', 'p_est', 'running'):
+            new[name] = old[name]
+        return
+    estimates = read_estimates(old_law[0])
+    if estimates is not None:
+        force, disturbance = estimates
+        new['alpha'] = force
+        new['p_est'] = disturbance
+        new['running'] = True
+        new['x'] = (
+            design['start_force'] * force + design['start_disturbance'] * disturbance
         )
-        if law['is_linear'][0]:
-            new, old = law['linear'], other['linear']
-            if same:
-                for name in ('x', 'extra', 'p_est', 'running'):
-                    new[name] = old[name]
-            elif taken is not None:
-                new['alpha'], new['p_est'], new['running'] = *taken, True
-                start = new['design']
-                new['x'] = (
-                    start['start_force'] * taken[0]
-                    + start['start_disturbance'] * taken[1]
-                )
-        elif (
-            same
-            and law['observer']['design']['order'][0]
-            == (other['observer']['design']['order'][0])
-        ):
-            if law['stiffness']['config']['adaptive'][0]:
-                take_over_stiffness(
-                    law[0], other[0]
-                )  # before the state, which is of that model
-            continue_observers_from(law['observer'], other['observer'])
-        elif taken is not None:
-            observer = law['observer'][0]
-            observer['x_est'][0], p = taken
-            design = observer['design']
-            n, order = int(design['states']), int(design['order'])
-            observer['x_est'][n - order : n] = p
-            observer['P'][:n, :n] = design['P_0'] * np.eye(n)
-            observer['running'] = True
-            command_rest(law['observer'])
 
 
-def known(law: ForceLaw) -> tuple[float, float] | None:
-    """Return the estimated force [N] and the compensated disturbance [m/s^2], None at rest."""
+def _continue_observer(new_law: Records[ForceLaw], old_law: Records[ForceLaw]) -> None:
+    """Let an active observer go on from the state of another law; both of shape (1,)."""
+    observer = new_law['observer'][0]
+    design = observer['design']
+    n = int(design['states'])
+    order = int(design['order'])
+    before = old_law['observer']['design'][0]
+    same_kind = new_law['kind'] == old_law['kind']
+    if same_kind and n == before['states'] and order == before['order']:
+        # The stiffness before the state, which is one of that model.
+        if new_law['stiffness']['config']['adaptive']:
+            take_over_stiffness(new_law[0], old_law[0])
+        continue_observers_from(new_law['observer'], old_law['observer'])
+        return
+    estimates = read_estimates(old_law[0])
+    if estimates is not None:
+        force, disturbance = estimates
+        observer['x_est'][0] = force
+        observer['x_est'][n - order : n] = disturbance
+        observer['P'][:n, :n] = design['P_0'] * np.eye(n)
+        observer['running'] = True
+        command_rest(new_law['observer'])
+
+
+def read_estimates(law: ForceLaw) -> tuple[float, float] | None:
+    """Return estimated force [N] and compensated disturbance [m/s^2]; None of a law at rest."""
     part = law['linear'] if law['is_linear'] else law['observer']
     if not part['running']:
         return None
     if law['is_linear']:
         return float(part['alpha']), float(part['p_est'])
-    x, states, order = part['x_est'], part['design']['states'], part['design']['order']
-    return float(x[0]), float(x[states - order]) if order else 0.0
+    x_est = part['x_est']
+    order = part['design']['order']
+    disturbance = x_est[part['design']['states'] - order] if order else 0.0
+    return float(x_est[0]), float(disturbance)
 
 
 def continue_laws_after_pause(
@@ -305,7 +332,12 @@ def continue_laws_after_pause(
 def add_extra_acceleration(
     laws: Records[ForceLaw], which: Mask, acceleration: Vector
 ) -> None:
-    """Add an acceleration along the normals [m/s^2] to what these laws, (r,), predict with."""
+    """
+    Tell laws of an acceleration along their normals that acts beyond their answers.
+
+    `which` selects contacts, shape (r,), `acceleration` is theirs [m/s^2]: limits and pulls that
+    the laws have not asked for, and that their next prediction counts in.
+    """
     laws['observer']['command'][which] += acceleration
     laws['linear']['extra'][which] += acceleration
 
@@ -315,17 +347,29 @@ def step_linear_law(
     law: Linear, contact: Contact, speed: float, x_next: Vector
 ) -> float:
     """
-    Take one sample into a record of `LINEAR`; return u [m/s^2].
+    Take one sample into a linear law, a record of `LINEAR`; return u [m/s^2].
 
-    `speed` is that of the contact point INTO the surface [m/s], `x_next` of at least n elements is
-    overwritten. A force that was not measured is the one before.
+    A law that has not run starts from the measured force. A force that was not measured in this
+    sample is the one before.
+
+    Parameters
+    ----------
+    law, contact
+        Record of `LINEAR`, changed, and of `CONTACT`, whose `answer.alpha_est` is set.
+    speed
+        Speed of the contact point INTO the surface [m/s].
+    x_next
+        Overwritten, at least n elements.
+
     """
-    design, x = law.design, law.x
+    design = law.design
+    x = law.x
     n = design.states
     if not law.running:
         for i in range(n):
             x[i] = design.start_force[i] * contact.alpha_meas
-        law.extra, law.running = 0.0, True
+        law.extra = 0.0
+        law.running = True
     for i in range(n):
         x[i] += design.E[i] * law.extra
     law.extra = 0.0
@@ -344,7 +388,7 @@ def step_linear_law(
 def evaluate_linear_row(
     row: LinearRow, law: Linear, contact: Contact, speed: float
 ) -> float:
-    """Return what a record of `LINEAR_ROW` makes of a law's state and inputs."""
+    """Return a row of A x + B y or C x + D y, a record of `LINEAR_ROW`, of state and inputs."""
     total = row.alpha_meas * contact.alpha_meas
     total += row.alpha_des * contact.answer.alpha_des
     total += row.speed * speed
@@ -364,11 +408,9 @@ def choose_fed_force(law: ForceLaw, contact: Contact, K_2: float) -> float:
     bear would go to the other contacts.
     """
     if contact.use_measured_force or law.fed == MEASURED:
-        return (
-            contact.alpha_meas
-            if contact.config.kind != FORCE
-            else max(contact.alpha_meas, 0.0)
-        )
+        if contact.config.kind == FORCE:
+            return max(contact.alpha_meas, 0.0)
+        return contact.alpha_meas
     if law.fed == ESTIMATE:
         return contact.answer.alpha_est
     desired = contact.answer.alpha_des
@@ -393,8 +435,8 @@ def limit_approach_speed(
 
     The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is
     kept at or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows while
-    the tip is slower than it may be although it is pushed, and is forgotten. The force law
-    is told what acts. `speed` is that of the contact point INTO the surface [m/s].
+    the tip is slower than it may be although it is pushed, and is forgotten. The force law is told
+    what acts. `speed` is that of the contact point INTO the surface [m/s].
     """
     period = control.law.period
     damping = control.law.K_2 * speed
@@ -405,9 +447,8 @@ def limit_approach_speed(
     if u - damping + fed <= largest:
         contact.borne_acceleration *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
-    contact.borne_acceleration = max(
-        contact.borne_acceleration + BOUND_SHARE * rate * rate * slower * period, 0.0
-    )
+    growth = BOUND_SHARE * rate * rate * slower * period
+    contact.borne_acceleration = max(contact.borne_acceleration + growth, 0.0)
     bounded = largest + damping - fed
     law.observer.command += bounded - u
     law.linear.extra += bounded - u
@@ -425,55 +466,82 @@ def answer_contact_forces(
     """
     Let the force law of every active contact answer its sample.
 
-    A contact that has just become active starts from its measured force. Records of `FORCE_LAW`
-    and `CONTACT`, shape (r,), are changed, `inputs`, shape (r,), is filled with u, 0 where not
-    active [m/s^2]. `space` is a record of `FORCE_SPACE`.
+    A contact that has just become active starts from its measured force.
+
+    Parameters
+    ----------
+    laws, contacts
+        Records of `FORCE_LAW` and `CONTACT`, shape (r,), changed.
+    control
+        Record of `CONTROL` with the frame of this sample.
+    inputs
+        Filled with u, shape (r,) [m/s^2]; 0 of contacts that are not active.
+    space
+        Record of `FORCE_SPACE`, overwritten.
+
     """
     for i in range(contacts.shape[0]):
-        contact, law, answer = contacts[i], laws[i], contacts[i].answer
-        answer.innovation = answer.prior_variance = answer.variance_used = 0.0
-        # Of the contact point into the surface, as far as it is known how that moves itself.
+        contact = contacts[i]
+        law = laws[i]
+        answer = contact.answer
+        answer.innovation = 0.0
+        answer.prior_variance = 0.0
+        answer.variance_used = 0.0
+        # Of the contact point into the surface, minus what is known of the surface's own motion.
         speed = dot(contact.N, control.frame.twist) - (
             contact.config.surface_speed + contact.surface_speed_est
         )
-        if (
-            contact.borne_acceleration > 0.0
-        ):  # what does not answer the motion says nothing of a surface
+        if contact.borne_acceleration > 0.0:
+            # Something bears the tip beside the force law: its motion tells of no stiffness.
             law.stiffness.felt = False
         elif law.stiffness.config.adaptive:
             follow_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
-            law.observer.running = law.linear.running = False
-            answer.alpha_est = answer.alpha_rate_est = (
-                answer.alpha_fed_forward
-            ) = inputs[i] = 0.0
+            law.observer.running = False
+            law.linear.running = False
+            answer.alpha_est = 0.0
+            answer.alpha_rate_est = 0.0
+            answer.alpha_fed_forward = 0.0
+            inputs[i] = 0.0
             continue
-        stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
             inputs[i] = step_linear_law(law.linear, contact, speed, space.x_next)
-            answer.alpha_rate_est = stiffness.k * speed
-        elif stiffness.config.adaptive:
-            # The prediction is that of the open loop, under the input that was asked for.
-            begins = not observer.running
-            observe(
-                observer, contact, control.measured, stiffness.k * speed, space.observer
-            )
-            if begins:
-                stiffness.alpha_ref = contact.alpha_meas
-                if stiffness.config.share == 0.0:
-                    stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
-            # No faster than the contact point may move into the surface.
-            step = stiffness.k * APPROACH_LIMIT * stiffness.config.period
-            stiffness.alpha_ref += min(
-                max(answer.alpha_des - stiffness.alpha_ref, -step), step
-            )
-            u = command(observer, stiffness.alpha_ref)
-            inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
+            answer.alpha_rate_est = law.stiffness.k * speed
+        elif law.stiffness.config.adaptive:
+            inputs[i] = answer_adaptively(law, contact, control, speed, space)
         else:
-            observe(observer, contact, control.measured, 0.0, space.observer)
-            inputs[i] = command(observer, answer.alpha_des)
+            observe_force(law.observer, contact, control.measured, 0.0, space.observer)
+            inputs[i] = command_acceleration(law.observer, answer.alpha_des)
         answer.alpha_fed_forward = choose_fed_force(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
             inputs[i] = limit_approach_speed(contact, law, control, inputs[i], speed)
         else:
             contact.borne_acceleration = 0.0
+
+
+@compiled
+def answer_adaptively(
+    law: ForceLaw, contact: Contact, control: Control, speed: float, space: ForceSpace
+) -> float:
+    """
+    Take one sample into an observer whose model follows the surface; return u [m/s^2].
+
+    It predicts with the open loop, under the input that was asked for, since its feedback changes
+    with the model. It follows the desired force no faster than the contact point may move into
+    the surface. `speed` is that of the contact point INTO the surface [m/s].
+    """
+    stiffness = law.stiffness
+    observer = law.observer
+    begins = not observer.running
+    rate = stiffness.k * speed
+    observe_force(observer, contact, control.measured, rate, space.observer)
+    if begins:
+        stiffness.alpha_ref = contact.alpha_meas
+        if stiffness.config.share == 0.0:
+            stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
+    step = stiffness.k * APPROACH_LIMIT * stiffness.config.period
+    missing = contact.answer.alpha_des - stiffness.alpha_ref
+    stiffness.alpha_ref += min(max(missing, -step), step)
+    u = command_acceleration(observer, stiffness.alpha_ref)
+    observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
+    return observer.command

@@ -15,7 +15,13 @@ from dataclasses import dataclass
 import math
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.force.laws.linear import LinearLaw
+from multicontact_control.force.laws.linear import (
+    ALPHA_EST,
+    ALPHA_MEAS,
+    LinearLaw,
+    SPEED,
+    U,
+)
 from multicontact_control.force.plant import discretise_delayed_input
 import numpy as np
 
@@ -62,11 +68,12 @@ def closed_loop(
         g, the share of the desired force in what is fed forward.
 
     """
-    r, n = len(plant.stiffness), law.states
-    zero, one = np.zeros((r, r)), np.eye(r)
-    force = np.hstack(
-        [np.diag(plant.stiffness), np.diag(plant.damping)]
-    )  # alpha of z and dz/dt
+    r = len(plant.stiffness)
+    n = law.states
+    zero = np.zeros((r, r))
+    one = np.eye(r)
+    # alpha of z and dz/dt
+    force = np.hstack([np.diag(plant.stiffness), np.diag(plant.damping)])
     acceleration = -plant.mobility @ force
     acceleration[:, r:] -= plant.damping_rate * one
     Phi, Gamma = discretise_delayed_input(
@@ -80,12 +87,12 @@ def closed_loop(
     size = own + n * r
     # What the laws answer: to the measured forces, to the speeds, and by what they remember.
     output = {}
-    for row, name in enumerate(('u', 'alpha_est')):
-        output[name] = np.zeros((r, size))
-        output[name][:, real:own] = law.D[row, 0] * one
-        output[name][:, r : 2 * r] = law.D[row, 2] * one
-        output[name][:, own:] = np.kron(one, law.C[row : row + 1])
-    answer = output['u'] + (1.0 - fed_share) * plant.mobility @ output['alpha_est']
+    for row in (U, ALPHA_EST):
+        output[row] = np.zeros((r, size))
+        output[row][:, real:own] = law.D[row, ALPHA_MEAS] * one
+        output[row][:, r : 2 * r] = law.D[row, SPEED] * one
+        output[row][:, own:] = np.kron(one, law.C[[row]])
+    answer = output[U] + (1.0 - fed_share) * plant.mobility @ output[ALPHA_EST]
     answer[:, r : 2 * r] -= damping_rate * one
     loop = np.zeros((size, size))
     loop[:real] = Gamma @ answer
@@ -94,8 +101,8 @@ def closed_loop(
     loop[real:own] = force @ motion + plant.tool_inertia @ (
         acceleration @ motion + _acting_input(plant, answer, real, period)
     )
-    loop[own:, real:own] = np.kron(one, law.B[:, :1])
-    loop[own:, r : 2 * r] = np.kron(one, law.B[:, 2:3])
+    loop[own:, real:own] = np.kron(one, law.B[:, [ALPHA_MEAS]])
+    loop[own:, r : 2 * r] = np.kron(one, law.B[:, [SPEED]])
     loop[own:, own:] = np.kron(one, law.A)
     return loop
 
@@ -106,8 +113,10 @@ def _acting_input(
     """Return, as rows, the inputs that act at the end of the period."""
     waiting, r = plant.delay / period, len(answer)
     whole = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
-    first = (2 if whole else 3) * r
-    return np.eye(answer.shape[1])[first : first + r] if first < real else answer
+    first = 2 * r if whole else 3 * r
+    if first >= real:
+        return answer
+    return np.eye(answer.shape[1])[first : first + r]
 
 
 def spectral_radius(matrix: Matrix) -> float:
@@ -134,6 +143,9 @@ def find_last_stable(
             continue
         while low and high / low - 1.0 > tolerance:
             middle = math.sqrt(low * high)
-            low, high = (middle, high) if stable(middle) else (low, middle)
+            if stable(middle):
+                low = middle
+            else:
+                high = middle
         return (low, high) if low else (0.0, 0.0)
     return math.inf, math.inf

@@ -43,9 +43,6 @@ class ObserverGains(Record, Protocol):
     damping_time: float  # c / k of the surface, which the force reads with its rate [s]
 
 
-OBSERVER_GAINS = record_dtype(ObserverGains)
-
-
 class Observer(Record, Protocol):
     """The active observer of one contact."""
 
@@ -64,7 +61,7 @@ OBSERVER = record_dtype(Observer)
 
 
 class ObserverSpace(Record, Protocol):
-    """What `observe` works in; one."""
+    """What `observe_force` works in; one."""
 
     half: Annotated[Matrix, MAX_STATES, MAX_STATES]  # Phi_n P
 
@@ -115,9 +112,12 @@ def design_observer(
     """
     n = loop.plant.Phi.shape[0]
     size = n + order
-    Phi_n, Phi_c = np.zeros((size, size)), np.zeros((size, size))
-    Phi_n[:n, :n], Phi_c[:n, :n] = loop.plant.Phi, loop.closed_loop
-    Phi_n[n:, n:] = Phi_c[n:, n:] = active_state_matrix(order)
+    Phi_n = np.zeros((size, size))
+    Phi_c = np.zeros((size, size))
+    Phi_n[:n, :n] = loop.plant.Phi
+    Phi_c[:n, :n] = loop.closed_loop
+    Phi_n[n:, n:] = active_state_matrix(order)
+    Phi_c[n:, n:] = active_state_matrix(order)
     feedback = np.concatenate([loop.L, np.zeros(order)])
     if order:
         Phi_n[:n, n] = loop.plant.Gamma
@@ -167,11 +167,9 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records[Observer]:
     observers = np.zeros(len(designs), dtype=OBSERVER)
     for record, design in zip(observers['design'], designs):
         n = design.Gamma.shape[0]
-        record['states'], record['order'], record['P_0'] = (
-            n,
-            design.order,
-            INITIAL_VARIANCE,
-        )
+        record['states'] = n
+        record['order'] = design.order
+        record['P_0'] = INITIAL_VARIANCE
         for name in ('Phi_c', 'Phi_n'):
             record[name][:n, :n] = getattr(design, name)
         for name in ('Gamma', 'feedback', 'Q'):
@@ -214,7 +212,7 @@ def command_rest(observers: Records[Observer]) -> None:
 
 
 @compiled
-def predict(observer: Observer, space: ObserverSpace) -> None:
+def predict_state(observer: Observer, space: ObserverSpace) -> None:
     """
     Predict state and covariance of the next sample, in a record of `OBSERVER`.
 
@@ -222,15 +220,16 @@ def predict(observer: Observer, space: ObserverSpace) -> None:
     the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored. `space` is a record of
     `OBSERVER_SPACE`.
     """
-    design, half = observer.design, space.half
-    n, Phi_c, Phi_n, Gamma, Q = (
-        design.states,
-        design.Phi_c,
-        design.Phi_n,
-        design.Gamma,
-        design.Q,
-    )
-    P, x_est, x_1 = observer.P, observer.x_est, observer.x_1
+    design = observer.design
+    n = design.states
+    Phi_c = design.Phi_c
+    Phi_n = design.Phi_n
+    Gamma = design.Gamma
+    Q = design.Q
+    P = observer.P
+    x_est = observer.x_est
+    x_1 = observer.x_1
+    half = space.half
     for i in range(n):
         total = Gamma[i] * observer.command
         for j in range(n):
@@ -254,7 +253,7 @@ def predict(observer: Observer, space: ObserverSpace) -> None:
 
 
 @compiled
-def correct(
+def correct_prediction(
     observer: Observer,
     innovation: float,
     noise_variance: float,
@@ -268,11 +267,13 @@ def correct(
     difference of two nearly equal numbers: the variance of the measured state stays positive
     however far R drops. Where the model of the surface damps, C = (1, c / k, 0, ...).
 
-    `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2];
-    `space` is a record of `OBSERVER_SPACE`.
+    `observer` is a record of `OBSERVER` after `predict_state`; innovation y - C x_1 [N],
+    R_k [N^2]; `space` is a record of `OBSERVER_SPACE`.
     """
-    n, tau = observer.design.states, observer.design.damping_time
-    P, covariance = observer.P, space.covariance
+    n = observer.design.states
+    tau = observer.design.damping_time
+    P = observer.P
+    covariance = space.covariance
     for i in range(n):
         covariance[i] = P[0, i] + tau * P[1, i]
     total_variance = covariance[0] + tau * covariance[1] + noise_variance
@@ -298,13 +299,14 @@ def correct(
 
 
 @compiled
-def command(observer: Observer, alpha_des: float) -> float:
+def command_acceleration(observer: Observer, alpha_des: float) -> float:
     """
     Return u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36), and keep r = L_1 f_des.
 
     u is the acceleration along the contact normal, without the damping K_2 [m/s^2].
     """
-    feedback, x_est = observer.design.feedback, observer.x_est
+    feedback = observer.design.feedback
+    x_est = observer.x_est
     observer.command = feedback[0] * alpha_des
     total = observer.command
     for j in range(observer.design.states):
@@ -331,7 +333,7 @@ def continue_observers_after_pause(
 
 
 @compiled
-def observe(
+def observe_force(
     observer: Observer,
     contact: Contact,
     measured: bool,
@@ -345,24 +347,31 @@ def observe(
     as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf). `space`
     is a record of `OBSERVER_SPACE`.
     """
-    n, tau, P = observer.design.states, observer.design.damping_time, observer.P
-    x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
+    n = observer.design.states
+    tau = observer.design.damping_time
+    P = observer.P
+    x_est = observer.x_est
+    x_1 = observer.x_1
+    answer = contact.answer
     if not observer.running:
         for i in range(n):
             x_est[i] = 0.0
             for j in range(n):
                 P[i, j] = 0.0
             P[i, i] = observer.design.P_0
-        x_est[0], x_est[1] = contact.alpha_meas, rate
+        x_est[0] = contact.alpha_meas
+        x_est[1] = rate
         P[1, 1] += rate * rate
         observer.running = True
     else:
-        predict(observer, space)
+        predict_state(observer, space)
         if measured:
             answer.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
             answer.innovation = contact.alpha_meas - (x_1[0] + tau * x_1[1])
             answer.variance_used = contact.noise_variance
-            correct(observer, answer.innovation, contact.noise_variance, space)
+            correct_prediction(
+                observer, answer.innovation, contact.noise_variance, space
+            )
         else:
             for i in range(n):
                 x_est[i] = x_1[i]

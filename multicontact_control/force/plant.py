@@ -96,12 +96,13 @@ def discretise_delayed_input(
 def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Matrix]:
     """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
     n, r = B.shape
-    if (
+    is_damped_mass = (
         B.shape == (2, 1)
         and A[0].tolist() == [0.0, 1.0]
         and A[1, 0] == 0.0
         and B[0, 0] == 0.0
-    ):
+    )
+    if is_damped_mass:
         return _damped_hold(float(B[1, 0]), -float(A[1, 1]), duration)
     augmented = np.zeros((n + r, n + r))
     augmented[:n] = np.hstack([A, B])
@@ -118,12 +119,10 @@ def _damped_hold(
     # A general matrix exponential may keep a control tick waiting for the threads of its BLAS.
     x = damping_rate * duration
     first = -math.expm1(-x) / x if x else 1.0  # (1 - e^-x) / x
-    # (1 - first) / x, by its series where that would cancel
-    second = (
-        (1.0 - first) / x
-        if x > SMALL_EXPONENT
-        else sum((-x) ** n / math.factorial(n + 2) for n in range(10))
-    )
+    if x > SMALL_EXPONENT:
+        second = (1.0 - first) / x
+    else:  # by its series, where that would cancel
+        second = sum((-x) ** n / math.factorial(n + 2) for n in range(10))
     Phi = np.array([[1.0, duration * first], [0.0, math.exp(-x)]])
     return Phi, stiffness * duration * np.array([[duration * second], [first]])
 

@@ -45,47 +45,43 @@ from multicontact_control.records import (
 )
 import numpy as np
 
-SLOW_BAND, FAST_BAND = (
-    (3.0, 20.0),
-    (6.0, 30.0),
-)  # Hz: of the high-pass, and of three low-passes
+# Hz: of the high-pass, and of three low-passes.
+SLOW_BAND = (3.0, 20.0)
+FAST_BAND = (6.0, 30.0)
+SLOW_MEMORY = 0.1  # s, of the slow fit, in time of samples that are accepted
 FAST_MEMORY = 0.04  # s
 DAMPING_TIME = 0.02  # s, in which the damping of the model settles
-STEP = 0.3  # N, a change of the command that counts as a step
-BEGIN, END = (
-    1.0,
-    0.5,
-)  # N: a tool that is shaken reads 0.5 N of its inertia without a surface
-SLIP_SPEED = 3e-3  # m/s, at which friction is near its full value
-SLOW_SHARE, FAST_SHARE = 0.3, 0.5  # r^2 from which on a fit is believed
+COMMAND_STEP = 0.3  # N, a change of the command that counts as a step
+# N: where a surface begins and ends to be felt; a tool that swings reads 0.5 N of its inertia.
+FELT_FROM = 1.0
+FELT_ABOVE = 0.5
+FULL_FRICTION_SPEED = 3e-3  # m/s, of sliding, at which friction is near its full value
+# r^2 from which on a fit is believed.
+SLOW_SHARE = 0.3
+FAST_SHARE = 0.5
 FAST_EXCESS = (
-    1.5  # how much stiffer than the slow fit the fast one has to find the surface
+    1.5  # factor of stiffness from which on the fast fit overrules the slow one
 )
 INERTIA_SHARE = 0.8  # of k / m, which the square of the fastest pole stays below
 SLOWEST_POLE = 10.0  # 1/s, of the second pole
-MEMORY = 0.1  # s, of the slow fit, in time of samples that are accepted
-WINDOW = 0.3  # s after a touch or a step of the command in which it accepts samples
+ACCEPTED_TIME = 0.3  # s after a touch or a step, in which the slow fit accepts samples
 LARGEST_DAMPING = 60.0  # N s/m, of the model
-FALL_TIME, RISE_TIME = (
-    0.02,
-    0.004,
-)  # s, shortest in which the model's k changes by a factor e
+# s, shortest in which the model's k changes by a factor e.
+FALL_TIME = 0.02
+RISE_TIME = 0.004
 INPUT_LIMIT = 40.0  # m/s^2, of |u|
 APPROACH_LIMIT = (
-    0.25  # m/s into the surface, at which the desired force is followed at most
+    0.25  # m/s into the surface, at which a desired force is followed at most
 )
 SMALLEST_RESIDUAL = 0.03  # N; what is left is never taken for smaller
 CORRELATION = 8.0  # samples of a band-passed signal for one that is independent
 LEAST_WEIGHT = 5.0  # samples, for a fit
-SMALLEST_PIVOT = (
-    1e-6  # what must be left of a scaled column that the others do not explain
-)
+SMALLEST_FIT_PIVOT = 1e-6  # share of a scaled regressor that the others must leave
 LARGEST_FRICTION = 1.0
 SMALLEST_SIGNAL = 0.15  # N, filtered, from which on a sample is accepted
 LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
-WAY, RATE, FRICTION = range(
-    3
-)  # what the force is explained by, and with which factor: k, c, mu
+# The regressors of the force, whose factors are k, c and mu.
+WAY, RATE, FRICTION = range(3)
 
 
 class SignalBand(Record, Protocol):
@@ -150,9 +146,6 @@ class InputGain(Record, Protocol):
     speed: float
 
 
-INPUT_GAIN = record_dtype(InputGain)
-
-
 class StiffnessConfig(Record, Protocol):
     """What is set for the on-line stiffness of one contact."""
 
@@ -180,9 +173,6 @@ class StiffnessConfig(Record, Protocol):
 
     delay_gain: Annotated[Records[InputGain], MAX_STATES]  # E_j, of inputs under way
     input_gain: InputGain  # B of the undelayed plant
-
-
-STIFFNESS_CONFIG = record_dtype(StiffnessConfig)
 
 
 class Stiffness(Record, Protocol):
@@ -243,9 +233,9 @@ def set_fit_band(
     fit: StiffnessFit, band: tuple[float, float], period: float, memory: float
 ) -> None:
     """Set the band [Hz] and the memory [s] of a record of `STIFFNESS_FIT`; h in [s]."""
-    fit['high'], fit['low'] = (
-        -math.expm1(-2.0 * math.pi * frequency * period) for frequency in band
-    )
+    high_pass, low_pass = band
+    fit['high'] = -math.expm1(-2.0 * math.pi * high_pass * period)
+    fit['low'] = -math.expm1(-2.0 * math.pi * low_pass * period)
     fit['keep'] = math.exp(-period / memory)
 
 
@@ -365,7 +355,7 @@ def solve_fit_factors(fit: StiffnessFit, friction_known: bool, space: FitSpace) 
         solution[i] *= scale[i]
         for j in range(i, 3):
             normal[i, j] *= scale[i] * scale[j]
-    if not cholesky(normal, space.L, SMALLEST_PIVOT):
+    if not cholesky(normal, space.L, SMALLEST_FIT_PIVOT):
         return False
     variance[WAY] = 1.0
     solve_cholesky(space.L, solution)
@@ -411,7 +401,7 @@ def set_up_stiffness(
         settings['delay_gain'][name][: len(gains)] = of_delayed
         settings['input_gain'][name] = gain
     record['k'], record['c'] = stiffness, 0.0
-    set_fit_band(record['slow'], SLOW_BAND, period, MEMORY)
+    set_fit_band(record['slow'], SLOW_BAND, period, SLOW_MEMORY)
     set_fit_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
 
 
@@ -522,7 +512,7 @@ def friction_of_others(frame: Frame, contacts: Records[Contact], which: int) -> 
         total += (
             other.alpha_meas
             * dot(sliding, normal)
-            / np.sqrt(dot(sliding, sliding) + SLIP_SPEED * SLIP_SPEED)
+            / np.sqrt(dot(sliding, sliding) + FULL_FRICTION_SPEED * FULL_FRICTION_SPEED)
         )
     return total
 
@@ -546,11 +536,11 @@ def estimate_stiffness(
     slow, fast = stiffness.slow, stiffness.fast
     h = stiffness.config.period
     stiffness.since += h
-    if abs(alpha_des - stiffness.alpha_des) > STEP:
+    if abs(alpha_des - stiffness.alpha_des) > COMMAND_STEP:
         stiffness.since = 0.0
     stiffness.alpha_des = alpha_des
     if not stiffness.felt:
-        if alpha <= BEGIN:
+        if alpha <= FELT_FROM:
             return
         for fit in (slow, fast):
             settle_band_pass(fit.way, 0.0)
@@ -562,9 +552,9 @@ def estimate_stiffness(
         stiffness.felt = True
     else:
         stiffness.depth += 0.5 * h * (speed + stiffness.speed)
-        stiffness.felt = alpha > END
+        stiffness.felt = alpha > FELT_ABOVE
     stiffness.speed = speed
-    lately = stiffness.felt and stiffness.since <= WINDOW
+    lately = stiffness.felt and stiffness.since <= ACCEPTED_TIME
     add_fit_sample(stiffness, slow, friction, alpha, lately, space)
     add_fit_sample(stiffness, fast, friction, alpha, stiffness.felt, space)
     if slow.k > 0.0 and slow.share > SLOW_SHARE:
@@ -588,17 +578,13 @@ def follow_stiffness(
     `CONTACT`, shape (r,), those of number `which` are changed; `control` is a record of `CONTROL`,
     the speed of the contact point is that INTO the surface [m/s], `space` a record of `FIT_SPACE`.
     """
-    contact, observer, stiffness = (
-        contacts[which],
-        laws[which].observer,
-        laws[which].stiffness,
-    )
+    contact = contacts[which]
+    observer = laws[which].observer
+    stiffness = laws[which].stiffness
     config = stiffness.config
     if contact.config.kind != FORCE:
-        leader, whole = (
-            contacts[contact.config.leader],
-            laws[contact.config.leader].stiffness,
-        )
+        leader = contacts[contact.config.leader]
+        whole = laws[contact.config.leader].stiffness
         share = config.share
         k = min(max(share * whole.k, config.lowest), config.highest)
         if k != stiffness.k:
@@ -608,7 +594,9 @@ def follow_stiffness(
         contact.stiffness_std = share * leader.stiffness_std
         contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin
         return
-    alpha = contact.alpha_meas if control.measured else contact.answer.alpha_est
+    alpha = contact.alpha_meas
+    if not control.measured:
+        alpha = contact.answer.alpha_est
     estimate_stiffness(
         stiffness,
         alpha,
@@ -617,8 +605,11 @@ def follow_stiffness(
         friction_of_others(control.frame, contacts, which),
         space,
     )
-    slow, fast = stiffness.slow, stiffness.fast
-    h, k, c = config.period, stiffness.k, stiffness.c
+    slow = stiffness.slow
+    fast = stiffness.fast
+    h = config.period
+    k = stiffness.k
+    c = stiffness.c
     target = k
     if slow.k > 0.0 and slow.share > SLOW_SHARE:
         target = slow.k + 2.0 * slow.k_std
@@ -629,15 +620,16 @@ def follow_stiffness(
         target = fast.k
     target = min(max(target, config.lowest), config.highest)
     # A model changes once a period: e times its value in less would be a jump.
-    change = min(
-        max(np.log(target / k), -min(h / FALL_TIME, 1.0)), min(h / RISE_TIME, 1.0)
-    )
+    largest_fall = min(h / FALL_TIME, 1.0)
+    largest_rise = min(h / RISE_TIME, 1.0)
+    change = min(max(np.log(target / k), -largest_fall), largest_rise)
     if change != 0.0 or c != stiffness.c:
         use_model_stiffness(observer, stiffness, k * np.exp(change), c)
     contact.stiffness = stiffness.k
     contact.stiffness_est = stiffness.k_est
     contact.stiffness_std = stiffness.k_std
-    contact.ratio_bound = contact.margin = 0.0  # as long as nothing is known
+    contact.ratio_bound = 0.0  # as long as nothing is known
+    contact.margin = 0.0
     if stiffness.k_est > 0.0:
         contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
         contact.margin = interpolate_ratio_limit(stiffness) / contact.ratio_bound

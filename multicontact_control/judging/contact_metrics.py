@@ -194,7 +194,7 @@ class ContactMetrics:
         if step is None or step.rise_63_s is None or not config.robot.urdf:
             return None
         contact = self.run.data.contact_names[self.run.leaders[self.column]]
-        if config.law_of(contact) != 'aob':
+        if config.force_law_of(contact) != 'aob':
             return None
         return step.rise_63_s / designed_rise(config.force)
 

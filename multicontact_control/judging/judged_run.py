@@ -10,7 +10,7 @@ import signal
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import count_compilations
-from multicontact_control.config import merge, validate
+from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
 from multicontact_control.judging.claims import judge_claims_of_run
@@ -33,7 +33,7 @@ from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.recording import BagContent, read_bag, RunData
-from multicontact_control.runs.scenario import dotted, External, Setup, SHORTEST
+from multicontact_control.runs.scenario import flatten_parameters, Setup, SHORTEST
 from rich.console import Console
 from rich.markup import escape
 
@@ -101,8 +101,6 @@ def run_on_graph(
     setup: Setup,
     folder: Path,
     *,
-    endless: bool = False,
-    external: External | None = None,
     supervised: bool = True,
     **options: Any,
 ) -> Ending:
@@ -112,13 +110,10 @@ def run_on_graph(
     Parameters
     ----------
     setup
-        What to run, and with what.
+        What to run, and with what; a signal ends the run if it is `endless`. Where it is not
+        `simulated`, the user's own robot is behind the topics.
     folder
         Where to leave the results.
-    endless
-        Whether a signal ends the run, and not the scenario.
-    external
-        The user's own robot behind the topics, whose setup this is.
     supervised
         Whether the supervisor surrounds the control law.
     options
@@ -139,31 +134,29 @@ def run_on_graph(
 
     """
     from multicontact_control.nodes.controller_node import ControllerNodeConfig
-    from multicontact_control.runs.graph.robot import Robot
+    from multicontact_control.runs.graph.robot import ExpectedRobot
     from multicontact_control.runs.graph.spec import CONTROLLER, GraphSpec
 
     config = folder / CONFIG_FOLDER
-    if external is None or not setup.commanded_by_topic:
+    if setup.simulated or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters = simulation_parameters(setup)
-    if external is not None:
-        endless = external.duration is None
-        of_node = merge(external.node, setup.nodes.get('controller', {}))
-        setup = replace(setup, nodes={**setup.nodes, 'controller': of_node})
-        parameters[CONTROLLER] = dotted(of_node)
+    if not setup.simulated:
+        of_node = setup.nodes.get('controller', {})
+        parameters[CONTROLLER] = flatten_parameters(of_node)
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
         options['domain_id'] = options.get('domain_id') or 0
-        options['robot'] = Robot(
+        options['robot'] = ExpectedRobot(
             setup.controller.robot.joint_names,
             setup.controller.wrench_input,
             node.effort_output_topic,
-            duration=external.duration,
+            duration=None if setup.endless else setup.scenario.duration,
         )
     parameters[CONTROLLER]['supervised'] = supervised
     ensure_compiled()
     spec = GraphSpec(
         out=folder,
-        ticks=0 if endless else setup.ticks,
+        ticks=0 if setup.endless else setup.ticks,
         rate=setup.controller.rate,
         seed=setup.seed,
         parameter_files=setup.write(config),

@@ -192,7 +192,7 @@ def load(
             files = (own_file,)
     messages = recording.read_graph(path, namespace)
     setup = _rebuild_setup(path, messages, files)
-    content = recording.content_of(path, messages, setup.controller, answered=True)
+    content = recording.align_messages(path, messages, setup.controller, answered=True)
     remarks = list(content.remarks)
     if content.lacking:
         remarks.insert(0, f'not in the recording: {", ".join(content.lacking)}')
@@ -263,7 +263,7 @@ def _find_names(messages: BagMessages, topics: Sequence[str]) -> tuple[str, ...]
 
 def _find_rate(path: Path, messages: BagMessages) -> float:
     """Return the rate of the samples' stamps without their gaps [Hz], whole if it nearly is."""
-    topic = recording.sample_topic(messages)
+    topic = recording.find_sample_topic(messages)
     periods = np.diff(np.unique(messages.by_topic[topic].stamps))  # ns
     if not len(periods):
         raise RunError(f'{path}: {topic}: expected at least 2 samples, got 1')

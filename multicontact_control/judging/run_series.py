@@ -62,7 +62,9 @@ class RunSeries:
         self.setup = setup
         self.missing = missing
         self.recorded = data.recorded()
-        self.leaders = list(setup.controller.leader_of)  # normal force of each column
+        self.leaders = list(
+            setup.controller.leading_columns
+        )  # normal force of each column
         # A recording that lost its end has no say in what came of the last step.
         end = data.ticks / data.rate
         end_is_missing = any(stretch.end > end for stretch in missing)

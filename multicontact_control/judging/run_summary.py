@@ -12,7 +12,7 @@ from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_folders import SUMMARY_FILE
 from multicontact_control.judging.supervisor_events import count_losses, LogLine
 from multicontact_control.judging.verdict import judge_run, LOOP_IS_STABLE
-from multicontact_control.runs.recording import Missing, name_missing, RunData
+from multicontact_control.runs.recording import describe_missing, Missing, RunData
 from multicontact_control.runs.scenario import Setup
 
 SCHEMA = 1  # of the summary: the meaning of its keys
@@ -65,7 +65,7 @@ def summarise_run(
             contacts[name]['controller_losses'] = losses
     all_remarks = [*_list_bounded_variances(run), *remarks]
     if missing:
-        all_remarks.insert(0, name_missing(missing))
+        all_remarks.insert(0, describe_missing(missing))
     return {
         'schema': SCHEMA,
         'scenario': setup.scenario.name,

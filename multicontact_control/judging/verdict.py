@@ -15,7 +15,7 @@ from multicontact_control.judging.run_modes import (
     INTERRUPTED,
 )
 from multicontact_control.judging.supervisor_events import list_interventions, LogLine
-from multicontact_control.runs.recording import Missing, name_missing, RunData
+from multicontact_control.runs.recording import describe_missing, Missing, RunData
 from multicontact_control.runs.scenario import Setup
 import numpy as np
 
@@ -159,7 +159,7 @@ def _explain_unjudged(run: RunMetrics, ended_early: str) -> str:
     if ended_early == INTERRUPTED:
         return INTERRUPTED
     if run.missing:
-        return f'{name_missing(run.missing)}; what is there passed no limit'
+        return f'{describe_missing(run.missing)}; what is there passed no limit'
     if not np.isfinite(run.force).any():
         return 'neither true nor measured forces'
     if not run.windows.loaded.any():
@@ -178,7 +178,7 @@ def _explain_unjudged(run: RunMetrics, ended_early: str) -> str:
                 Missing(float(run.data.time[begin]), end / rate)
                 for begin, end in unknown
             ]
-            text = name_missing(gaps, 'force')
+            text = describe_missing(gaps, 'force')
             return f'{contact.name}: {text}; what is there passed no limit'
     without_truth = run.list_without_truth()
     unknown_truth = describe_unknown_truth(without_truth, run.data.contact_names)

@@ -7,15 +7,15 @@ from multicontact_control.errors import RosError
 from multicontact_control.process import limit_threads
 
 limit_threads()  # every node's process comes through here before it imports numpy
-os.environ['AMENT_PREFIX_PATH'] = (
-    os.environ.get('AMENT_PREFIX_PATH') or sys.prefix
-)  # of wheels
+if not os.environ.get('AMENT_PREFIX_PATH'):
+    os.environ['AMENT_PREFIX_PATH'] = sys.prefix  # where wheels put their resources
 try:
     from ament_index_python import get_resources
 
     known = get_resources('rmw_typesupport').keys() - {'rmw_implementation'}
     wanted = os.environ.get('RMW_IMPLEMENTATION')
-    if wanted and known and wanted not in known:  # rcl would end the process
+    # With a middleware that is not installed, rcl would end the process.
+    if wanted and known and wanted not in known:
         raise ImportError(
             f'RMW_IMPLEMENTATION: expected {" or ".join(known)}, got {wanted}'
         )

@@ -12,7 +12,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
-from multicontact_control.control.controller import Design
+from multicontact_control.control.controller import ControllerDesign
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError, MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
@@ -41,9 +41,9 @@ import numpy as np
 
 # Actions on a sample with a new stamp, on one with both halves, and on one of which forces and
 # poses are published.
-NEW_SAMPLE = (Action.STEP, Action.ANEW, Action.HALF)
-WHOLE_SAMPLE = (Action.STEP, Action.ANEW, Action.REPEAT)
-PUBLISHED = (*NEW_SAMPLE, Action.SHOW)
+NEW_SAMPLE = (Action.STEP, Action.STEP_ANEW, Action.STEP_BY_HALF)
+WHOLE_SAMPLE = (Action.STEP, Action.STEP_ANEW, Action.REPEAT_TORQUE)
+PUBLISHED = (*NEW_SAMPLE, Action.PUBLISH_AGAIN)
 
 
 class ControllerNodeConfig(StartupConfig):
@@ -109,7 +109,7 @@ class ControllerNodeConfig(StartupConfig):
         reference = validate(
             ReferenceConfig, values.get('reference', values), str(path)
         )
-        return ScenarioTask.of(reference, config)
+        return ScenarioTask.for_controller(reference, config)
 
 
 class ControllerNode(ManagedNode):
@@ -241,7 +241,7 @@ class ControllerNode(ManagedNode):
 
     def compute_design(
         self, configurations: Sequence[Any]
-    ) -> tuple[Design | None, Any]:
+    ) -> tuple[ControllerDesign | None, Any]:
         """
         Return the design of a changed controller, and the node's configuration.
 
@@ -254,7 +254,7 @@ class ControllerNode(ManagedNode):
             design = self._loop.design(config)
         return design, node_config
 
-    def apply_design(self, design: tuple[Design | None, Any]) -> None:
+    def apply_design(self, design: tuple[ControllerDesign | None, Any]) -> None:
         """Go on with a design from the next sample on; MulticontactError if that cannot be now."""
         controller_design, node_config = design
         if controller_design is not None:
@@ -275,14 +275,14 @@ class ControllerNode(ManagedNode):
         try:
             reading = self._readers[topic](data)
             if topic is topics.NOISE_VARIANCE:
-                self._timing.add_variance(*reading)
+                self._timing.add_noise_variance(*reading)
             elif topic is topics.JOINT_STATES:
-                self._timing.add(JointInput(*reading))
+                self._timing.add_reading(JointInput(*reading))
             else:
-                self._timing.add(WrenchInput(*reading))
+                self._timing.add_reading(WrenchInput(*reading))
             safe = self._loop.supervisor.safe
             if self.working or safe:
-                self._carry_out(self._timing.what_now(start, safe=safe), start)
+                self._carry_out(self._timing.decide_on_message(start, safe=safe), start)
             self._report.inputs.last[topic] = start
         except MulticontactError as error:
             self.refusals.log_refusal(topic.name, error)
@@ -297,9 +297,9 @@ class ControllerNode(ManagedNode):
             return
         now = time.monotonic_ns()
         if late:
-            decision = self._timing.late(now)
+            decision = self._timing.decide_on_silence(now)
         else:
-            decision = self._timing.what_now(now, safe=safe)
+            decision = self._timing.decide_on_message(now, safe=safe)
         self._carry_out(decision, now)
 
     def _run_waiting_callbacks(self, spinner: Spinner) -> None:
@@ -313,8 +313,8 @@ class ControllerNode(ManagedNode):
         """Answer a message of a monotonic time [ns] as decided: command first, then reports."""
         action, inputs = decision
         loop = self._loop
-        self.due = self._timing.due
-        if action is Action.ANEW:
+        self.due = self._timing.silence_deadline
+        if action is Action.STEP_ANEW:
             self._start_anew()
         elif action is Action.REFUSE:
             self._refuse_older_sample()
@@ -324,9 +324,13 @@ class ControllerNode(ManagedNode):
                 self._torque = loop.step(inputs)
             except MulticontactError as error:
                 self._torque = self._stop_because_of(error)
-        elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
+        elif (
+            action is Action.REPEAT_TORQUE
+            and loop.supervisor.safe
+            and self._torque is None
+        ):
             self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
-        answers = inputs is not None or action is Action.REPEAT
+        answers = inputs is not None or action is Action.REPEAT_TORQUE
         if answers and self._torque is not None:
             outputs = self._outputs
             stamp = self._timing.answered_stamp
@@ -400,7 +404,7 @@ def _warm_up(loop: ControlLoop) -> None:
 
 
 def main() -> int:
-    """Run the controller node."""
+    """Run the controller node in this process; return the exit code, see `run_node`."""
     return run_node(ControllerNode)
 
 

@@ -74,17 +74,19 @@ NO_COMMAND = CommandAnswer('')
 class ReportedState(NamedTuple):
     """What ~/status tells of the newest tick; a change of any field is worth a message."""
 
-    reaction: str = NONE
-    causes: tuple[str, ...] = ()
+    status: SupervisorStatus = NO_STATUS  # without what may change at every tick
+    misread_contacts: int = 0  # contacts of which a force is read before a touch
     findings: tuple[str, ...] = ()
     instruction: str = ''  # of the push test
-    unwatched: str = ''
-    contact_states: tuple[str, ...] = ()
-    misread_contacts: int = 0  # contacts of which a force is read before a touch
     safe: bool = False
     held: bool = False
     life_cycle: str = ''
     forces: tuple[float, ...] = ()  # commanded [N]
+
+    @property
+    def reaction(self) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+        """The reaction, its causes, and what exceptions have said."""
+        return self.status.reaction, self.status.causes, self.findings
 
 
 class SampleCount(NamedTuple):
@@ -201,13 +203,10 @@ class ControllerReport:
         loop = self._loop
         status = self._status
         return ReportedState(
-            status.reaction,
-            status.causes,
+            status._replace(rejected=(), limits=(), read_before=()),
+            len(status.read_before),
             loop.supervisor.findings,
             loop.push_gate.instruction,
-            status.unwatched,
-            status.contact_states,
-            len(status.read_before),
             loop.supervisor.safe,
             loop.held,
             self._node.state,
@@ -216,22 +215,23 @@ class ControllerReport:
 
     def _log_changes(self, before: ReportedState, state: ReportedState) -> None:
         """Log which of reaction, contacts, efforts and push test have changed."""
+        status = state.status
         # Inactive, no reaction ends in control: the node says itself what it commands.
-        if state[:3] != before[:3] and not state.safe:
-            kind = f'{state.reaction} {state.causes} {bool(state.findings)}'
+        if state.reaction != before.reaction and not state.safe:
+            kind = f'{status.reaction} {status.causes} {bool(state.findings)}'
             self._warn(kind, self._describe_reaction() or 'control goes on')
-        if state.contact_states != before.contact_states:
+        if status.contact_states != before.status.contact_states:
             names = self._loop.config.contact_names
-            for name, contact_state in zip(names, state.contact_states):
+            for name, contact_state in zip(names, status.contact_states):
                 if contact_state == STATE_NAMES[GIVEN_UP]:
                     self._warn(
                         f'given up {name}',
                         f'{name}: given up, until it is commanded or '
                         'sought again (contact_state.retry_time, force_ceiling)',
                     )
-        if state.unwatched != before.unwatched:
+        if status.unwatched != before.status.unwatched:
             recovered = 'effort in joint_states: of use in all joints again'
-            self._warn(f'unwatched {state.unwatched}', state.unwatched or recovered)
+            self._warn(f'unwatched {status.unwatched}', status.unwatched or recovered)
         if state.instruction not in ('', before.instruction):
             self._node.get_logger().info(f'push test: {state.instruction}')
 
@@ -366,7 +366,7 @@ class ControllerReport:
         """Warn of joint states and wrenches that come, but with stamps that are no pair."""
         timing = self._timing
         silence = time.monotonic_ns() - self.watch.last
-        if not timing.apart or silence < NANOSECONDS:
+        if not timing.stamp_difference or silence < NANOSECONDS:
             return ''
         pair = [name for name in self.inputs.last if name is not topics.NOISE_VARIANCE]
         if any(self.inputs.age(topic) > 1.0 for topic in pair):
@@ -375,7 +375,7 @@ class ControllerReport:
         return self._warn(
             'apart',
             f'{names} come, but their stamps are '
-            f'{abs(timing.apart) * 1e-6:.6g} ms apart: expected at most '
+            f'{abs(timing.stamp_difference) * 1e-6:.6g} ms apart: expected at most '
             f'{timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock',
         )
 
@@ -470,7 +470,7 @@ class ControllerReport:
         if self._loop.status:
             return dict(zip(config.contact_names, self._loop.status.contact_states))
         states = {}
-        for name, column in zip(config.contact_names, config.leaders):
+        for name, column in zip(config.contact_names, config.force_columns):
             states[name] = 'force' if output.answer['active'][column] else 'motion'
         return states
 
@@ -508,7 +508,7 @@ class ControllerReport:
         status = self._status
         log = self._loop.events
         friction = yield from self._node.background.compute(
-            self._loop.supervisor.explanations.friction
+            self._loop.supervisor.explanations.explain_friction
         )
         values = {
             'reaction': status.reaction,

@@ -171,7 +171,9 @@ def build_contact_arrows(
     header = Header(frame_id=topics.WORLD_FRAME, stamp=messages.ns_to_stamp(stamp))
     pose = output.pose
     arrows = []
-    for number, (name, column) in enumerate(zip(config.contact_names, config.leaders)):
+    for number, (name, column) in enumerate(
+        zip(config.contact_names, config.force_columns)
+    ):
         force = float(output.contacts['alpha_meas'][column])
         point_operational = config.contacts[name].point_operational
         tip = pose.position_world + pose.rotation_world @ point_operational

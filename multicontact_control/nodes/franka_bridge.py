@@ -581,7 +581,7 @@ def _import_library() -> Any:
 
 
 def main() -> int:
-    """Run the bridge."""
+    """Run the bridge in this process; return the exit code, see `run_node`."""
     return run_node(FrankaBridge)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 import time
@@ -15,7 +15,7 @@ from multicontact_control.files import replace_json_file
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.private import RcutilsLogger
 from multicontact_control.nodes.runtime import loaded_kernels, shorten_ros_error
-from multicontact_control.nodes.topics import Topic, TOPICS
+from multicontact_control.nodes.topics import RECORDER, Topic, TOPICS
 from multicontact_control.process import claim_processor
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
@@ -26,13 +26,14 @@ from rclpy.subscription import Subscription
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
-GATE_POLL, REPORT_PERIOD = 0.02, 5.0  # s
+GATE_PERIOD = 0.02  # s, between two looks at whether the gate opens
+REPORT_PERIOD = 5.0  # s, between two logs of what is missing
 SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing
 READY = '_ready/'  # and the name of a node: topic whose publisher says that it is ready
 
 
 class StartupConfig(Config):
-    """What every node of the graph has in common."""
+    """Parameters that every node of the graph has: peers, scheduling and a file of counts."""
 
     startup_peers: tuple[str, ...] = parameter(
         (), 'Nodes to wait for before the first message; empty to start at once.'
@@ -54,34 +55,56 @@ class StartupConfig(Config):
     )
 
     def write_counts(self, counts: Mapping[str, Any]) -> None:
-        """Write the counts and times of a run, if asked to."""
-        if self.timing_file:
-            kernels = loaded_kernels()
-            replace_json_file(
-                Path(self.timing_file),
-                {
-                    **counts,
-                    'cpu_s': time.process_time(),
-                    'kernels_compiled': kernels.count_compilations() if kernels else 0,
-                },
-            )
+        """Write counts of a run and the node's own times to `timing_file`, if that is given."""
+        if not self.timing_file:
+            return
+        kernels = loaded_kernels()
+        replace_json_file(
+            Path(self.timing_file),
+            {
+                **counts,
+                'cpu_s': time.process_time(),
+                'kernels_compiled': kernels.count_compilations() if kernels else 0,
+            },
+        )
 
 
 def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
-    """Return the full name of a topic; ConfigError of a field where ROS accepts no such name."""
-    whose = ('_', '/') if node is None else (node.get_name(), node.get_namespace())
+    """
+    Return the full name of a topic, e.g. ``/arm/joint_states``.
+
+    Parameters
+    ----------
+    field
+        Parameter or option that has the name, for an error.
+    name
+        Absolute, relative or, with ~/, private name.
+    node
+        Node that it is relative to; None for the root.
+
+    Raises
+    ------
+    ConfigError
+        If ROS accepts no such name.
+
+    """
+    node_name = '_'
+    namespace = '/'
+    if node is not None:
+        node_name = node.get_name()
+        namespace = node.get_namespace()
     try:
-        full = str(expand_topic_name(name, *whose))
-        validate_full_topic_name(full)
+        full_name = str(expand_topic_name(name, node_name, namespace))
+        validate_full_topic_name(full_name)
     except (NameValidationException, ValueError) as error:
         raise ConfigError(
             field, 'a name of a topic', f"'{name}' ({shorten_ros_error(error)})"
         ) from None
-    return full
+    return full_name
 
 
 def create_publisher(node: Node, topic: Topic) -> Publisher:
-    """Create the publisher of a topic of the table."""
+    """Return a new publisher of a topic of the table `TOPICS`, with the topic's profile."""
     return node.create_publisher(topic.message, topic.name, topic.profile)
 
 
@@ -95,7 +118,12 @@ def offers_enough(offered: QoSProfile, requested: QoSProfile) -> bool:
 
 
 def take_message(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
-    """Return the next message that waits, and what is known of it; no executor is needed."""
+    """
+    Return the next message that waits at a subscription and its information, None if none waits.
+
+    No executor is needed: one that spins the subscription's node takes the messages away. The
+    information has the times and the number of the publication.
+    """
     with subscription.handle:
         taken: tuple[Any, dict[str, Any]] | None = subscription.handle.take_message(
             subscription.msg_type, subscription.raw
@@ -104,19 +132,37 @@ def take_message(subscription: Subscription) -> tuple[Any, dict[str, Any]] | Non
 
 
 def ignore_message(_message: object) -> None:
-    """Stand in for the callback of a subscription whose messages are taken."""
+    """Stand in for the callback of a subscription whose messages are taken by `take_message`."""
 
 
 class RefusalLog:
-    """Counts what was refused by cause, and logs it once."""
+    """
+    Counts messages, requests and changes that are refused, and logs each cause once.
+
+    Attributes
+    ----------
+    counts
+        Refusals by cause: source and error without the value that was found.
+
+    """
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self.counts: Counter[str] = Counter()
 
     def log_refusal(self, source: str, error: Exception) -> None:
-        """Take note of what came from a topic, service or parameter and cannot be used."""
-        cause = f'{source}: {error}'.split(', got ')[0]
+        """
+        Count a refusal; log it if it is the first of its cause.
+
+        Parameters
+        ----------
+        source
+            Name of the topic, service or parameter.
+        error
+            What was expected and what was found.
+
+        """
+        cause, _, _ = f'{source}: {error}'.partition(', got ')
         self.counts[cause] += 1
         if self.counts[cause] == 1:
             self._logger.error(
@@ -125,7 +171,7 @@ class RefusalLog:
 
     @contextmanager
     def logging_refusals(self, topic: Topic) -> Iterator[None]:
-        """Count a message of a topic as refused if its use inside raises an error of ours."""
+        """Log a message of a topic as refused if its use inside raises a MulticontactError."""
         try:
             yield
         except MulticontactError as error:
@@ -137,19 +183,28 @@ class StartupGate:
     Holds a node back until the graph is connected, so that no message is lost to discovery.
 
     A writer that sees its reader cannot know that the reader sees it, too: each node looks at its
-    own ends, then creates a hidden publisher; the gate opens when all peers have one.
+    own publishers and subscriptions, then creates a hidden publisher, its marker; the gate opens
+    when all peers have one. Also claims processors, priority and memory for the node's thread.
+
+    Attributes
+    ----------
+    open
+        Whether all peers are ready; at once if there are none.
+    marker
+        The publisher by which peers know that this node is ready, None before.
+
     """
 
     def __init__(self, node: Node, config: StartupConfig) -> None:
-        self._node, self._peers = node, config.startup_peers
-        ends = {node.resolve_topic_name(topic.name): topic for topic in TOPICS}
-        self._publishers, self._subscriptions = (
-            [(ends[x.topic_name], x) for x in present if x.topic_name in ends]
-            for present in (node.publishers, node.subscriptions)
-        )
+        self._node = node
+        self._peers = config.startup_peers
+        topics = {node.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        self._publishers = _pair_with_topics(node.publishers, topics)
+        self._subscriptions = _pair_with_topics(node.subscriptions, topics)
         self.marker: Publisher | None = None
         self.open = not self._peers
-        self._next_poll, self._next_report = 0.0, time.monotonic() + REPORT_PERIOD
+        self._poll_due = 0.0
+        self._report_due = time.monotonic() + REPORT_PERIOD
         # By now all memory is there, and the threads of the middleware keep their own priority.
         for problem in claim_processor(
             fifo_priority=config.fifo_priority,
@@ -159,49 +214,60 @@ class StartupGate:
             node.get_logger().warning(problem)
 
     def poll(self) -> bool:
-        """Return whether the gate is open; log now and then what is missing."""
+        """Return whether the gate is open; every `REPORT_PERIOD` log what it still waits for."""
         now = time.monotonic()
-        if not self.open and now >= self._next_poll:
-            self._next_poll, missing = now + GATE_POLL, self._missing()
-            self.open = not missing
-            if missing and now > self._next_report:
-                self._next_report = now + REPORT_PERIOD
-                self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
+        if self.open or now < self._poll_due:
+            return self.open
+        self._poll_due = now + GATE_PERIOD
+        missing = self._list_missing()
+        self.open = not missing
+        if missing and now > self._report_due:
+            self._report_due = now + REPORT_PERIOD
+            self._node.get_logger().info(f'waiting for {"; ".join(missing)}')
         return self.open
 
-    def _missing(self) -> list[str]:
-        """Return what the node still waits for."""
-        missing = [
-            f'{topic.name} from {topic.publisher}'
-            for topic, subscription in self._subscriptions
-            if topic.publisher in self._peers
-            and subscription.get_publisher_count() == 0
-        ]
-        for topic, publisher in self._publishers:
-            readers = [
-                x
-                for x in self._node.get_subscriptions_info_by_topic(
-                    publisher.topic_name
-                )
-                if offers_enough(publisher.qos_profile, x.qos_profile)
-            ]
-            present = {
-                x.node_name
-                for x in readers
-                if x.node_namespace == self._node.get_namespace()
-            }
-            wanted = set(topic.subscribers) & set(self._peers)
-            # Known by name is not yet connected: every reader that can be must be.
-            if wanted - present or publisher.get_subscription_count() < len(readers):
-                missing.append(
-                    f'{topic.name} to {", ".join(sorted(wanted - present or wanted))}'
-                )
-        if not missing and self.marker is None:
+    def _list_missing(self) -> list[str]:
+        """Return the ends that the node still waits for, then the peers that are not ready."""
+        missing = [*self._list_missing_publishers(), *self._list_missing_readers()]
+        if missing:
+            return missing
+        if self.marker is None:
             self.marker = self._node.create_publisher(
                 Empty, READY + self._node.get_name(), qos.LATCHED
             )
-        return missing or [
+        return [
             f'{peer} to be ready'
             for peer in self._peers
             if self._node.count_publishers(READY + peer) == 0
         ]
+
+    def _list_missing_publishers(self) -> Iterator[str]:
+        for topic, subscription in self._subscriptions:
+            if topic.publisher in self._peers:
+                if subscription.get_publisher_count() == 0:
+                    yield f'{topic.name} from {topic.publisher}'
+
+    def _list_missing_readers(self) -> Iterator[str]:
+        namespace = self._node.get_namespace()
+        for topic, publisher in self._publishers:
+            readers = 0  # that can be connected
+            present = set()
+            for reader in self._node.get_subscriptions_info_by_topic(
+                publisher.topic_name
+            ):
+                if offers_enough(publisher.qos_profile, reader.qos_profile):
+                    readers += 1
+                    if reader.node_namespace == namespace:
+                        present.add(reader.node_name)
+            wanted = {RECORDER, *topic.subscribers} & set(self._peers)
+            absent = wanted - present
+            # Known by name is not yet connected: every reader that can be must be.
+            if absent or publisher.get_subscription_count() < readers:
+                yield f'{topic.name} to {", ".join(sorted(absent or wanted))}'
+
+
+def _pair_with_topics(
+    ends: Iterable[Any], topics: Mapping[str, Topic]
+) -> list[tuple[Topic, Any]]:
+    """Return the publishers or subscriptions that are of a topic of the table, with the topic."""
+    return [(topics[end.topic_name], end) for end in ends if end.topic_name in topics]

@@ -36,12 +36,11 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 CONFIGURE = 'configure'
 ACTIVATE = 'activate'
 DEACTIVATE = 'deactivate'
-CLEAN_UP = 'cleanup'
 GOALS = {  # state that each transition leads to
     CONFIGURE: 'inactive',
     ACTIVATE: 'active',
     DEACTIVATE: 'inactive',
-    CLEAN_UP: 'unconfigured',
+    'cleanup': 'unconfigured',
 }
 LARGEST_DOMAIN = 232  # for which there are ports
 PATIENCE = 300.0  # s, until a node is there, and has done its work

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from multicontact_control.nodes.background import BackgroundThread, Pausing
@@ -34,9 +35,9 @@ class LiveChanges:
         self._requests: deque[Iterator[None]] = deque()
         for service in node.services:
             if service.srv_type is SetParameters:
-                answer_later(service, self._take_single_changes)
+                answer_later(service, partial(self._queue, self._change_singly))
             elif service.srv_type is SetParametersAtomically:
-                answer_later(service, self._take_joint_change)
+                answer_later(service, partial(self._queue, self._change_jointly))
 
     def poll(self) -> None:
         """Put into force what has been computed since the last call, and answer."""
@@ -45,13 +46,15 @@ class LiveChanges:
                 return  # it waits for the thread
             self._requests.popleft()
 
-    def _take_single_changes(self, request: Any, send_response: SendResponse) -> None:
-        self._requests.append(self._serve_single_changes(request, send_response))
+    def _queue(
+        self,
+        change: Callable[[Any, SendResponse], Iterator[None]],
+        request: Any,
+        send_response: SendResponse,
+    ) -> None:
+        self._requests.append(change(request, send_response))
 
-    def _take_joint_change(self, request: Any, send_response: SendResponse) -> None:
-        self._requests.append(self._serve_joint_change(request, send_response))
-
-    def _serve_single_changes(
+    def _change_singly(
         self, request: Any, send_response: SendResponse
     ) -> Iterator[None]:
         """Change each parameter for itself: some may be refused."""
@@ -61,7 +64,7 @@ class LiveChanges:
             response.results.append((yield from self._apply_change(change)))
         send_response(response)
 
-    def _serve_joint_change(
+    def _change_jointly(
         self, request: Any, send_response: SendResponse
     ) -> Iterator[None]:
         """Change all parameters or none."""

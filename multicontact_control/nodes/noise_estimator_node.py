@@ -48,7 +48,11 @@ class NoiseEstimatorNode(ManagedNode):
         self._samples = 0
 
     def configure(self, configurations: Sequence[Any]) -> None:
-        """Make the estimator, its publisher of R and its subscriptions; compile its kernels."""
+        """
+        Make the estimator, its publisher of R and its subscriptions; compile its kernels.
+
+        An estimator that works on innovations subscribes to them beside the measured forces.
+        """
         self._config, self._node_config = configurations
         names = self._config.contact_names
         zeros = np.zeros(len(names))
@@ -76,7 +80,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._inputs = InputMonitor(self, self._config.rate, *fields)
 
     def activate(self) -> StartupConfig:
-        """Start with an empty window."""
+        """Start with an empty window: samples and innovations from before are forgotten."""
         self._estimator.reset()
         self._waiting: deque[ForceSample] = deque()
         # By stamp [ns], the newest last: those of samples that wait are among the last few.
@@ -117,7 +121,12 @@ class NoiseEstimatorNode(ManagedNode):
             )
 
     def do_due_work(self, _spinner: Spinner | None = None) -> None:
-        """Answer all samples that wait, in order, except one whose innovation is still to come."""
+        """
+        Answer all samples that wait, in order, up to one whose innovation is still to come.
+
+        An innovation that is lost is not waited for: once that of a later sample has come, the
+        sample is answered without one.
+        """
         with self.refusals.logging_refusals(topics.MEASURED_FORCES):
             while self.working and self._waiting:
                 if self._awaits_innovation(self._waiting[0].stamp):
@@ -159,7 +168,7 @@ class NoiseEstimatorNode(ManagedNode):
 
 
 def main() -> int:
-    """Run the noise estimator node."""
+    """Run the noise estimator node in this process; return the exit code, see `run_node`."""
     return run_node(NoiseEstimatorNode)
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 from multicontact_control.config.base import (
     Config,
+    find_config_model,
     merge,
-    model_in,
     sets_parameter,
     validate,
 )
@@ -35,89 +35,134 @@ SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 LOCKED = 'can be changed only before the node is configured'
 
 
-def _leaves(
+def _list_fields(
     model: type[Config],
     overrides: Mapping[str, Any],
     prefix: str = '',
 ) -> Iterator[tuple[str, FieldInfo]]:
-    """Yield name and field of all values; mappings as in `overrides`, or of their contacts."""
+    """Yield the dotted name and the field of each value of a model, with those of its parts."""
     for key, field in model.model_fields.items():
-        name, inner = prefix + key, model_in(field.annotation)
+        name = prefix + key
+        inner = find_config_model(field.annotation)
         if inner is None:
             yield name, field
         elif typing.get_origin(field.annotation) is dict:
-            start = f'{name}.'
-            given = dict.fromkeys(
-                x[len(start) :].split('.')[0] for x in overrides if x.startswith(start)
-            )
-            for entry in given or overrides.get('contact_names') or ():
-                yield from _leaves(inner, overrides, f'{name}.{entry}.')
+            for entry in _list_entries(name, overrides):
+                yield from _list_fields(inner, overrides, f'{name}.{entry}.')
         else:
-            yield from _leaves(inner, overrides, f'{name}.')
+            yield from _list_fields(inner, overrides, f'{name}.')
 
 
-def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
+def _list_entries(name: str, overrides: Mapping[str, Any]) -> Sequence[str]:
+    """Return the entries of a mapping that overrides set values of, by default the contacts."""
+    start = f'{name}.'
+    given = {}  # in their order, each once
+    for override in overrides:
+        if override.startswith(start):
+            entry, _, _ = override.removeprefix(start).partition('.')
+            given[entry] = True
+    return [*given] or overrides.get('contact_names') or ()
+
+
+def _describe_parameter(name: str, field: FieldInfo) -> ParameterDescriptor:
+    """Return the descriptor of a parameter: what it is, its unit, and whether it may change."""
     extra: Any = field.json_schema_extra or {}
-    unit = f' [{extra["unit"]}]' if extra.get('unit') else ''
+    description = field.description or ''
+    if extra.get('unit'):
+        description += f' [{extra["unit"]}]'
     # Not read-only: that changes with the life cycle, a descriptor does not.
     return ParameterDescriptor(
         name=name,
         dynamic_typing=True,
-        description=f'{field.description or ""}{unit}',
+        description=description,
         additional_constraints='' if extra.get('live') else LOCKED,
     )
 
 
+def _return_configurations(configurations: Sequence[Any]) -> Any:
+    """Return the configurations as their own design."""
+    return configurations
+
+
+def _ignore_refusal(_name: str, _error: Exception) -> None:
+    """Take no note of a refused change."""
+
+
 class ParameterSet:
     """
-    Declares the parameters of models.
+    Declares the parameters of models, and lets those that are live change.
 
-    While `use` is None all of them may change, to be validated when they are used; else only
-    those that are live: `use` takes what `design` makes of the configurations with a change, or
-    either raises, and `refuse` hears the name and error of a change that is not taken. `version`
-    counts what makes a design that was begun before out of date.
+    While `apply_design` is None all parameters may change, and are validated when a configuration
+    is built. Then only live ones may: `compute_design` makes a design of the configurations with a
+    change, and `apply_design` puts it into force; either raises to refuse the change.
+
+    Attributes
+    ----------
+    compute_design, apply_design, report_refusal
+        Functions of the node: see above; `report_refusal` is called with the name and the error of
+        a change that is refused.
+    version
+        Number of changes so far; a design that was begun with another one is out of date.
+
     """
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
-        self._node, self._models = node, models
-        given = {
-            name: parameter.value
-            for name, parameter in parameter_overrides(node).items()
-            if name.split('.')[0] not in SET_BY_ROS
-        }
-        self._live: dict[str, bool] = {}
-        for name, field in (x for model in models for x in _leaves(model, given)):
-            value = (
-                None
-                if field.is_required()
-                else field.get_default(call_default_factory=True)
-            )
-            if name in given:
-                value = [] if given[name] is None else given[name]
-            descriptor = _descriptor(name, field)
-            self._live[name] = descriptor.additional_constraints != LOCKED
-            node.declare_parameter(
-                name, _plain(value), descriptor, ignore_override=True
-            )
-        self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self.compute_design: Callable[[Sequence[Any]], Any] = lambda configurations: (
-            configurations
-        )
+        self._node = node
+        self._models = models
+        self.compute_design: Callable[[Sequence[Any]], Any] = _return_configurations
         self.apply_design: Callable[[Any], None] | None = None
+        self.report_refusal: Callable[[str, Exception], None] = _ignore_refusal
         self.version = 0
-        self._designed: Callable[[], Any] | None = (
-            None  # of the change that is under way
-        )
-        self.report_refusal: Callable[[str, Exception], None] = lambda name, error: None
+        # Returns or raises what the change that is under way leads to.
+        self._get_design: Callable[[], Any] | None = None
+        self._live: dict[str, bool] = {}  # by the name of each declared parameter
+        given = {}
+        for name, parameter in parameter_overrides(node).items():
+            if name.split('.')[0] not in SET_BY_ROS:
+                given[name] = parameter.value
+        for model in models:
+            for name, field in _list_fields(model, given):
+                self._declare_parameter(name, field, given)
+        self._unknown = {
+            name: value for name, value in given.items() if name not in self._live
+        }
         node.add_on_set_parameters_callback(self._on_set)
+
+    def _declare_parameter(
+        self, name: str, field: FieldInfo, given: Mapping[str, Any]
+    ) -> None:
+        """Declare a parameter with the value that is given, or its default; None for neither."""
+        value = None
+        if name in given:
+            value = [] if given[name] is None else given[name]
+        elif not field.is_required():
+            value = field.get_default(call_default_factory=True)
+        descriptor = _describe_parameter(name, field)
+        self._live[name] = descriptor.additional_constraints != LOCKED
+        self._node.declare_parameter(
+            name, _to_plain_value(value), descriptor, ignore_override=True
+        )
 
     def build_configurations(
         self, changes: Mapping[str, Any] | None = None
     ) -> list[Any]:
-        """Return a configuration per model, with changes by name; ConfigError of all at once."""
-        present = {name: self.present_value(name) for name in self._live} | dict(
-            changes or {}
-        )
+        """
+        Return a validated configuration per model.
+
+        Parameters
+        ----------
+        changes
+            Values by dotted name that take the place of the present ones.
+
+        Raises
+        ------
+        ConfigError
+            With all that is wrong at once, parameters that no model knows among it.
+
+        """
+        present = {name: self.present_value(name) for name in self._live}
+        if changes is not None:
+            present |= changes
         values: dict[str, Any] = {}
         for name, value in [*present.items(), *self._unknown.items()]:
             if value is not None:
@@ -126,106 +171,132 @@ class ParameterSet:
                 values = merge(values, value)
         known = sorted(key for model in self._models for key in model.model_fields)
 
-        def refuse(key: str) -> None:
+        def refuse_unknown(key: str) -> None:
             raise ConfigError(
                 key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'"
             )
 
-        return run_all_checks(
-            *(partial(refuse, key) for key in values if key not in known),
-            *(
-                partial(
-                    validate,
-                    model,
-                    {x: values[x] for x in model.model_fields if x in values},
-                )
-                for model in self._models
-            ),
-        )
+        checks: list[Callable[[], Any]] = []
+        for key in values:
+            if key not in known:
+                checks.append(partial(refuse_unknown, key))
+        for model in self._models:
+            given = {key: values[key] for key in model.model_fields if key in values}
+            checks.append(partial(validate, model, given))
+        return run_all_checks(*checks)
 
     def present_value(self, name: str) -> Any:
-        """Return the present value of a parameter, None if it has none."""
-        return _plain(self._node.get_parameter_or(name).value)
+        """Return the present value of a parameter, arrays as lists; None if it has none."""
+        return _to_plain_value(self._node.get_parameter_or(name).value)
 
     def design_change(self, parameters: Sequence[Parameter]) -> Any:
-        """Return what a change leads to, or raise; another thread may wait for it."""
-        changes = self._known(parameters)
+        """
+        Return the design that a change of parameters leads to; the background thread calls this.
+
+        Raises
+        ------
+        MulticontactError
+            If a parameter is not live, or the configuration with the change cannot be used.
+
+        """
+        changes = self._select_known(parameters)
         for name, value in changes.items():
-            if (
-                value is None
-                or not self._live[name]
-                and value != self.present_value(name)
-            ):
-                raise ConfigError(
-                    name, hint=f'{LOCKED}; it stays {self.present_value(name)}'
-                )
+            present = self.present_value(name)
+            if value is None or (value != present and not self._live[name]):
+                raise ConfigError(name, hint=f'{LOCKED}; it stays {present}')
         return self.compute_design(self.build_configurations(changes))
 
     def apply(
-        self,
-        parameters: Sequence[Parameter],
-        designed: Callable[[], Any],
+        self, parameters: Sequence[Parameter], get_design: Callable[[], Any]
     ) -> SetParametersResult:
-        """Change parameters at once; `designed` returns or raises as `design_change` did."""
-        self._designed = designed
+        """
+        Change parameters at once, by the design that has been computed for them.
+
+        Parameters
+        ----------
+        parameters
+            The parameters with their new values: all change, or none.
+        get_design
+            Returns what `design_change` has returned for them, or raises what it has raised.
+
+        """
+        self._get_design = get_design
         try:
             return self._node.set_parameters_atomically(parameters)
         except ParameterNotDeclaredException as error:
             return SetParametersResult(successful=False, reason=str(error))
         finally:
-            self._designed = None
+            self._get_design = None
 
-    def _known(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
-        return {x.name: _plain(x.value) for x in parameters if x.name in self._live}
+    def _select_known(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
+        """Return the new values of those parameters that are of a model."""
+        return {
+            parameter.name: _to_plain_value(parameter.value)
+            for parameter in parameters
+            if parameter.name in self._live
+        }
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        changes = self._known(parameters)
+        changes = self._select_known(parameters)
         if self.apply_design is None or not changes:
             return SetParametersResult(successful=True)
-        designed = self._designed or partial(self.design_change, parameters)
+        get_design = self._get_design
+        if get_design is None:
+            get_design = partial(self.design_change, parameters)
         try:
-            self.apply_design(designed())
-            self.version += 1
+            self.apply_design(get_design())
         except Exception as error:
-            if not isinstance(
-                error, MulticontactError
-            ):  # a mistake here: not for the arm to pay
+            if not isinstance(error, MulticontactError):
+                # A mistake here ends no node: the arm would have to pay for it.
                 self._node.get_logger().error(traceback.format_exc())
-            self.report_refusal(next(iter(changes)), error)
-            return SetParametersResult(
-                successful=False, reason=str(error) or repr(error)
-            )
+            first_name, *_ = changes
+            self.report_refusal(first_name, error)
+            reason = str(error) or repr(error)
+            return SetParametersResult(successful=False, reason=reason)
+        self.version += 1
         return SetParametersResult(successful=True)
 
 
-def _plain(value: Any) -> Any:
+def _to_plain_value(value: Any) -> Any:
     """Return an array as a list."""
-    return (
-        value if isinstance(value, (bool, int, float, str, NoneType)) else list(value)
-    )
+    if isinstance(value, (bool, int, float, str, NoneType)):
+        return value
+    return list(value)
 
 
 def find_parameter_folder(name: str, node_name: str, arguments: Sequence[str]) -> Path:
     """
     Return where a relative path starts that is the value of a parameter of a node.
 
-    That is the folder of the last of the parameter files among some command-line arguments that
-    sets it; the current folder, if the command line itself does, or nothing.
+    That is the folder of the last parameter file that sets the parameter; the current folder if
+    the command line itself sets it, or nothing does.
+
+    Parameters
+    ----------
+    name, node_name
+        Dotted name of the parameter, and name of its node.
+    arguments
+        Arguments of the command line, with `--params-file FILE` and `-p NAME:=VALUE`.
+
     """
     folder = Path()
     for option, value in zip(arguments, arguments[1:]):
+        if option in ('-p', '--param'):
+            given, _, _ = value.partition(':=')
+            if given.rpartition(':')[2] == name:
+                return Path()
         if option == '--params-file' and sets_parameter(Path(value), node_name, name):
             folder = Path(value).resolve().parent
-    by_itself = any(
-        option in ('-p', '--param') and value.split(':=')[0].rpartition(':')[2] == name
-        for option, value in zip(arguments, arguments[1:])
-    )
-    return Path() if by_itself else folder
+    return folder
 
 
 def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
-    """Declare the parameters of models, which stay as they are; return the configurations."""
+    """
+    Declare the parameters of models, and return a validated configuration per model.
+
+    From then on they stay as they are. ConfigError with all that is wrong with them.
+    """
     parameters = ParameterSet(node, *models)
     configurations = parameters.build_configurations()
-    parameters.apply_design = lambda configurations: None
+    parameters.apply_design = _return_configurations
     return configurations

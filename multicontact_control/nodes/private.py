@@ -59,13 +59,14 @@ def answer_later(
     knows no coroutines as callbacks of services: it calls `callback`, then `send_response`.
     """
     send = service.send_response
-    newest: list[Any] = []
+    waiting: list[Any] = []  # the request of the callback that has run last, or none
 
-    def callback(request: Any, response: Any) -> Any:
-        newest[:] = [request]
+    def keep_request(request: Any, response: Any) -> Any:
+        waiting.append(request)
         return response
 
-    def send_response(_response: Any, header: Any) -> None:
-        take_in(newest.pop(), partial(send, header=header))
+    def send_later(_response: Any, header: Any) -> None:
+        take_in(waiting.pop(), partial(send, header=header))
 
-    service.callback, service.send_response = callback, send_response
+    service.callback = keep_request
+    service.send_response = send_later

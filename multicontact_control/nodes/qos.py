@@ -13,17 +13,27 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 def make_profile(
     depth: int, *, reliable: bool = True, latched: bool = False
 ) -> QoSProfile:
-    """Return a profile that keeps the newest messages."""
-    return QoSProfile(
-        depth=depth,
-        history=HistoryPolicy.KEEP_LAST,
-        reliability=ReliabilityPolicy.RELIABLE
-        if reliable
-        else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL
-        if latched
-        else DurabilityPolicy.VOLATILE,
-    )
+    """
+    Return a profile that keeps the newest messages.
+
+    Parameters
+    ----------
+    depth
+        How many messages wait for a late reader at most.
+    reliable
+        Whether the sender sends again what the reader has not got, and waits for it if need be.
+    latched
+        Whether the sender keeps its messages for readers that come later.
+
+    """
+    profile = QoSProfile(depth=depth, history=HistoryPolicy.KEEP_LAST)
+    profile.reliability = ReliabilityPolicy.RELIABLE
+    if not reliable:
+        profile.reliability = ReliabilityPolicy.BEST_EFFORT
+    profile.durability = DurabilityPolicy.VOLATILE
+    if latched:
+        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+    return profile
 
 
 STREAM = make_profile(5000)

@@ -39,18 +39,16 @@ from rosbags.typesys import get_typestore, Stores
 from std_msgs.msg import Float64MultiArray
 
 NICENESS = 10  # the nodes that control go first; ten seconds of messages can wait
-POLL_PERIOD, FLUSH_PERIOD = 0.02, 0.5  # s
-QUIET_TIME, DRAIN_TIMEOUT = (
-    0.2,
-    3.0,
-)  # s without a message that end a recording, at most this long
-INFINITE = interfaces.QosTime(
-    9223372036, 854775807
-)  # as rosbag2 writes that there is no limit
+POLL_PERIOD = 0.02  # s, between two looks at the subscriptions
+FLUSH_PERIOD = 0.5  # s
+QUIET_TIME = 0.2  # s without a message, that end a recording
+DRAIN_TIMEOUT = 3.0  # s, that the end of a recording waits for that at most
+# As rosbag2 writes that there is no limit.
+INFINITE = interfaces.QosTime(9223372036, 854775807)
 
 
 class RecorderConfig(graph.StartupConfig):
-    """What to record, and where to."""
+    """Parameters of the recorder: the folder of the bag, and a topic that not all graphs have."""
 
     folder: str = parameter(..., 'Folder of the bag, to be created.')
     effort_output_topic: str = parameter(
@@ -60,17 +58,21 @@ class RecorderConfig(graph.StartupConfig):
 
 
 @dataclass
-class _Stream:
-    """One topic being recorded."""
+class _RecordedTopic:
+    """A topic with its connection of the bag, and its subscription, which may be replaced."""
 
     topic: Topic
     connection: interfaces.Connection
     subscription: Subscription
-    last_number: int = 0  # of a message in its stream
+    last_number: int = 0  # of a message among those of its publisher
 
 
 class Bag(Writer):
-    """One recording, in a folder to create; RunError if it exists, or cannot be written to."""
+    """
+    A recording in a folder, which the constructor makes: MCAP, compressed by zstd.
+
+    RunError if the folder exists already, or cannot be written to.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._types = get_typestore(Stores.ROS2_JAZZY)
@@ -86,12 +88,19 @@ class Bag(Writer):
             raise RunError(f'{folder}: {error.strerror}') from None
 
     def add_topic(
-        self,
-        name: str,
-        type_name: str,
-        profile: QoSProfile,
+        self, name: str, type_name: str, profile: QoSProfile
     ) -> interfaces.Connection:
-        """Return what messages of a topic are written to."""
+        """
+        Return the connection that messages of a topic are written to.
+
+        Parameters
+        ----------
+        name, type_name
+            Full name of the topic, and type of its messages, e.g. 'std_msgs/msg/String'.
+        profile
+            Profile of the publisher: a player offers the same.
+
+        """
         offered = interfaces.Qos(
             interfaces.QosHistory(profile.history),
             profile.depth,
@@ -119,130 +128,126 @@ class RecorderNode(Node):
     """
     Records the topics of the graph to a rosbag2 folder with MCAP.
 
-    Asked to stop, it writes what still comes, then closes the bag.
+    Asked to stop, it writes what still comes, then closes the bag. RunError if the folder of the
+    bag exists already.
     """
 
     def __init__(self) -> None:
         # Parameter services need an executor, which this node has not.
         super().__init__(RECORDER, start_parameter_services=False)
         self._config: RecorderConfig = load_parameters(self, RecorderConfig)[0]
-        topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
-        if efforts := self._config.effort_output_topic:
-            name = graph.full_topic_name('effort_output_topic', efforts, self)
-            topics[name] = Topic(
-                name, Float64MultiArray, CONTROLLER, (RECORDER,), rate='event'
-            )
+        topics = self._list_topics()  # first: a bad name leaves no folder behind
         self._bag = Bag(Path(self._config.folder))
-        self._streams = []
+        self._recorded = []
         for name, topic in topics.items():
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            self._streams.append(
-                _Stream(
-                    topic,
-                    self._bag.add_topic(name, topic.type_name, topic.profile),
-                    self.create_subscription(
-                        topic.message,
-                        topic.name,
-                        graph.ignore_message,
-                        qos.make_profile(qos.STREAM.depth, latched=latched),
-                        raw=True,
-                    ),
-                )
-            )
-        self._lost: Counter[str] = (
-            Counter()
-        )  # messages by topic, since the first of each
-        self._next_flush = 0.0
+            profile = qos.make_profile(qos.STREAM.depth, latched=latched)
+            connection = self._bag.add_topic(name, topic.type_name, topic.profile)
+            subscription = self._subscribe(topic, profile)
+            self._recorded.append(_RecordedTopic(topic, connection, subscription))
+        # Messages by topic, since the first of each.
+        self._lost: Counter[str] = Counter()
+        self._flush_due = 0.0
         self._diagnostics = DiagnosticsPublisher(
-            self, self._statuses, BackgroundThread()
+            self, self._collect_statuses, BackgroundThread()
         )
         self._gate = graph.StartupGate(self, self._config)
 
+    def _list_topics(self) -> dict[str, Topic]:
+        """Return the topics to record by their full names."""
+        topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        efforts = self._config.effort_output_topic
+        if efforts:
+            name = graph.full_topic_name('effort_output_topic', efforts, self)
+            topics[name] = Topic(name, Float64MultiArray, CONTROLLER, rate='event')
+        return topics
+
+    def _subscribe(self, topic: Topic, profile: QoSProfile) -> Subscription:
+        return self.create_subscription(
+            topic.message, topic.name, graph.ignore_message, profile, raw=True
+        )
+
     def run(self, spinner: Spinner) -> None:
-        """Record until asked to stop and nothing comes any more."""
+        """Record until asked to stop, and then until nothing has come for `QUIET_TIME`."""
         os.nice(NICENESS)  # of this thread; those that take in messages keep theirs
         while not spinner.stop:
             self._gate.poll()
-            self._drain()
+            self._write_arrived()
             self._diagnostics.poll()
             time.sleep(POLL_PERIOD)
         give_up = time.monotonic() + DRAIN_TIMEOUT
-        while time.monotonic() < give_up and self._drain():
+        while time.monotonic() < give_up and self._write_arrived():
             time.sleep(QUIET_TIME)
 
-    def _drain(self) -> bool:
+    def _write_arrived(self) -> bool:
         """Write what has arrived, in the order of publication; return whether anything has."""
         arrived = []
-        for stream in self._streams:
-            while (taken := graph.take_message(stream.subscription)) is not None:
+        for recorded in self._recorded:
+            while (taken := graph.take_message(recorded.subscription)) is not None:
                 data, info = taken
-                sent = (
-                    info['source_timestamp']
-                    or info['received_timestamp']
-                    or time.time_ns()
-                )
-                arrived.append((sent, stream.connection, data))
-                number, last = info['publication_sequence_number'], stream.last_number
-                stream.last_number = number
-                if (
-                    stream.topic.rate == 'control'
-                    and 0 < last < number - 1
-                    and (stream.subscription.get_publisher_count() < 2)
-                ):  # it counts its own
-                    self._lost[stream.connection.topic] += number - last - 1
+                sent = info['source_timestamp'] or info['received_timestamp']
+                if not sent:  # the middleware knows neither
+                    sent = time.time_ns()
+                arrived.append((sent, recorded.connection, data))
+                self._count_lost(recorded, info['publication_sequence_number'])
         for sent, connection, data in sorted(arrived, key=itemgetter(0)):
             self._bag.write(connection, sent, data)
-        if time.monotonic() >= self._next_flush:
+        if time.monotonic() >= self._flush_due:
             self._bag.flush()
-            self._next_flush = time.monotonic() + FLUSH_PERIOD
+            self._flush_due = time.monotonic() + FLUSH_PERIOD
         return bool(arrived)
 
+    def _count_lost(self, recorded: _RecordedTopic, number: int) -> None:
+        """Count the messages between the last one of a topic and that with a number."""
+        last = recorded.last_number
+        recorded.last_number = number
+        if recorded.topic.rate != 'control' or not 0 < last < number - 1:
+            return
+        # Each publisher counts its own messages: those of two cannot be told apart.
+        if recorded.subscription.get_publisher_count() < 2:
+            self._lost[recorded.connection.topic] += number - last - 1
+
     def _meet_publishers(self) -> None:
-        """Ask for no more than is given where one of a topic's publishers gives less."""
-        for stream in self._streams:
-            name, asked = stream.connection.topic, stream.subscription.qos_profile
+        """Subscribe best effort to topics of which a publisher offers less than is asked for."""
+        for recorded in self._recorded:
+            name = recorded.connection.topic
+            requested = recorded.subscription.qos_profile
             if not all(
-                graph.offers_enough(x.qos_profile, asked)
-                for x in self.get_publishers_info_by_topic(name)
+                graph.offers_enough(publisher.qos_profile, requested)
+                for publisher in self.get_publishers_info_by_topic(name)
             ):
-                self._drain()
-                self.destroy_subscription(stream.subscription)
-                stream.subscription = self.create_subscription(
-                    stream.topic.message,
-                    name,
-                    graph.ignore_message,
-                    qos.make_profile(asked.depth, reliable=False),
-                    raw=True,
+                self._write_arrived()
+                self.destroy_subscription(recorded.subscription)
+                recorded.subscription = self._subscribe(
+                    recorded.topic, qos.make_profile(requested.depth, reliable=False)
                 )
                 self.get_logger().info(f'{name}: recorded best effort, as published')
 
     def close(self) -> None:
-        """Close the bag, and write the counts of this run, if asked to."""
+        """Close the bag, and write its counts by topic to `timing_file`, if given."""
         self._bag.close()
-        counts = {x.topic: self._bag.counts[x.id] for x in self._bag.connections}
+        counts = {}
+        for connection in self._bag.connections:
+            counts[connection.topic] = self._bag.counts[connection.id]
         self._config.write_counts({'counts': counts, 'lost': self._lost.total()})
 
-    def _statuses(self) -> list[ComponentStatus]:
-        if self._gate.open:  # which looks at the ends that there are now
+    def _collect_statuses(self) -> list[ComponentStatus]:
+        if self._gate.open:  # which looks at the subscriptions that there are now
             self._meet_publishers()
-        warning = f'messages lost on {", ".join(self._lost)}' if self._lost else ''
+        values = {'dropped': self._lost.total()}
+        for name, number in self._lost.items():
+            values[f'dropped {name}'] = number
+        warning = ''
+        if self._lost:
+            warning = f'messages lost on {", ".join(self._lost)}'
         return [
             ComponentStatus('loop', {'messages': sum(self._bag.counts.values())}),
-            ComponentStatus(
-                'messages',
-                {
-                    'dropped': self._lost.total(),
-                    **{
-                        f'dropped {name}': number for name, number in self._lost.items()
-                    },
-                },
-                warning,
-            ),
+            ComponentStatus('messages', values, warning),
         ]
 
 
 def main() -> int:
-    """Run the recorder node."""
+    """Run the recorder node in this process; return the exit code, see `run_node`."""
     return run_node(RecorderNode)
 
 

@@ -31,38 +31,59 @@ try:
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
 
-DISK_FULL_ERRORS = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EFBIG,
-)  # a disk, or what a user may have of it
+# Of a disk, or of a user's share of it.
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 AUTOSTART = '--autostart'
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-ACKNOWLEDGE_TIMEOUT = (
-    5.0  # s; the last acknowledgement may take long after the data has come
-)
+UNAWAITED_TOPICS = ('/rosout', '/parameter_events')  # at the end of a node
+# s; the last acknowledgement may take long after the data has come.
+ACKNOWLEDGE_TIMEOUT = 5.0
 
 
 def collect_stop_signals() -> list[int]:
-    """Return a list that each SIGINT and SIGTERM joins, which then do not end the process."""
+    """
+    Let SIGINT and SIGTERM be collected from now on, instead of ending the process.
+
+    rclpy's own way would end a node that still sends.
+
+    Returns
+    -------
+    list[int]
+        The numbers of the signals that have come, to which further ones are appended.
+
+    """
     received: list[int] = []
-    for number in SIGNALS:  # rclpy's own way would end a node that still sends
-        signal.signal(number, lambda number, _frame: received.append(number))
+
+    def collect(number: int, _frame: Any) -> None:
+        received.append(number)
+
+    for number in SIGNALS:
+        signal.signal(number, collect)
     return received
 
 
 class Spinner:
-    """Runs the callbacks of a node; a signal in the list `stop` ends everything."""
+    """
+    Runs the callbacks of a node.
+
+    Parameters
+    ----------
+    node
+        The node, whose callbacks run in `spin_once` alone.
+    stop
+        Signals that have come: the node's `run` ends once there is one.
+
+    """
 
     def __init__(self, node: Any, stop: Sequence[int]) -> None:
-        self.stop, self._node = stop, node
+        self.stop = stop
+        self._node = node
         self._executor: Executor | None = None
 
     def spin_once(self, timeout: float) -> None:
         """Wait for one callback for up to `timeout` [s] and run it."""
-        if (
-            self._executor is None
-        ):  # made late: it empties the subscriptions that a node takes
+        # Made late: an executor empties the subscriptions whose messages a node takes.
+        if self._executor is None:
             self._executor = EventsExecutor(context=self._node.context)
             self._executor.add_node(self._node)
         # The events executor raises for events of ends that are destroyed (rclpy issue 1644).
@@ -70,19 +91,36 @@ class Spinner:
             self._executor.spin_once(timeout_sec=timeout)
 
     def close(self) -> None:
-        """Stop running callbacks."""
+        """Destroy the executor: no callback runs any more."""
         if self._executor is not None:
             self._executor.shutdown(timeout_sec=0)
 
 
 def start_ros(args: Sequence[str] | None, **options: Any) -> None:
-    """Initialise rclpy without its signal handlers; ConfigError for unreadable arguments."""
-    # Without it the graph would announce itself to the whole network.
+    """
+    Initialise rclpy without its signal handlers, within this machine unless the environment says.
+
+    Parameters
+    ----------
+    args
+        Arguments of the command line; None for those of the process.
+    options
+        Further ones of `rclpy.init`.
+
+    Raises
+    ------
+    ConfigError
+        If the arguments, or a parameter file among them, are unreadable.
+    RunError
+        If the middleware does not start.
+
+    """
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault(
         'FASTRTPS_DEFAULT_PROFILES_FILE', str(find_config_folder() / 'fastdds.xml')
     )
-    if not os.access(os.environ.get('ROS_HOME') or os.environ.get('HOME', ''), os.W_OK):
+    home = os.environ.get('ROS_HOME') or os.environ.get('HOME', '')
+    if not os.access(home, os.W_OK):
         os.environ.setdefault(
             'ROS_LOG_DIR', f'{tempfile.gettempdir()}/ros-{os.getuid()}'
         )
@@ -99,47 +137,39 @@ def start_ros(args: Sequence[str] | None, **options: Any) -> None:
 
 
 def shorten_ros_error(error: BaseException) -> str:
-    """Return an error of ROS without the place in its sources."""
-    return ' '.join(str(error).split(', at /')[0].split())
+    """Return the text of an error in one line, without the place in the sources of ROS."""
+    text, _, _ = str(error).partition(', at /')
+    return ' '.join(text.split())
 
 
 def run_node(make_node: Callable[[], Any]) -> int:
     """
-    Run a node in this process until `run(spinner)` returns, then `close()`; return the exit code.
+    Run a node in this process, from the start of ROS to its end.
 
-    It is 2 for a bad configuration, the number of the error for a full disk,
-    and 1 for another error.
+    `run(spinner)` of the node returns when it has been asked to stop, and `close()` follows.
+
+    Returns
+    -------
+    int
+        The exit code: 0; 2 for a bad configuration; the number of the error for a full disk; 1
+        for another error. The process has said why on stderr.
+
     """
-    program, stop = os.path.basename(sys.argv[0]), collect_stop_signals()
+    program = os.path.basename(sys.argv[0])
+    stop = collect_stop_signals()
     try:
         start_ros(None)
         check_command_line(program, make_node)
-        kernels = loaded_kernels()
-        kept = kernels.find_cache_folder() if kernels else None
-        if kernels and not (kept and os.listdir(kept)):
-            print(
-                f'{program}: compiling the numerical kernels: this takes a while, once; '
-                '`multicontact compile` does it beforehand',
-                file=sys.stderr,
-                flush=True,
-            )
-        _run(make_node(), stop)
+        _announce_compilation(program)
+        _run_to_the_end(make_node(), stop)
         return 0
     except MulticontactError as error:
-        text = '; '.join(map(shorten_ros_error, getattr(error, 'errors', [error])))
+        errors = getattr(error, 'errors', [error])
+        text = '; '.join(map(shorten_ros_error, errors))
         print(f'{program}: {text}', file=sys.stderr)
         return 2 if isinstance(error, ConfigError) else 1
     except Exception as error:
-        code = (
-            error.errno
-            if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS
-            else 1
-        )
-        with contextlib.suppress(OSError):  # the log may be on the same disk
-            print(
-                f'{program}: {error}', file=sys.stderr
-            ) if code in DISK_FULL_ERRORS else (traceback.print_exc())
-        return code
+        return _explain_failure(program, error)
     finally:
         # A signal that comes while interpreter and middleware shut down would end it with -15.
         for number in SIGNALS:
@@ -151,8 +181,39 @@ def run_node(make_node: Callable[[], Any]) -> int:
         rclpy.try_shutdown()
 
 
+def _announce_compilation(program: str) -> None:
+    """Say that the start takes a while, if kernels have to be compiled."""
+    kernels = loaded_kernels()
+    if kernels is None:
+        return
+    folder = kernels.find_cache_folder()
+    if not folder or not os.listdir(folder):
+        print(
+            f'{program}: compiling the numerical kernels: this takes a while, once; '
+            '`multicontact compile` does it beforehand',
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _explain_failure(program: str, error: Exception) -> int:
+    """Print an error that is a mistake, or a full disk; return the exit code."""
+    with contextlib.suppress(OSError):  # the log may be on the same disk
+        if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
+            code = error.errno
+            print(f'{program}: {error}', file=sys.stderr)
+        else:
+            code = 1
+            traceback.print_exception(error)
+    return code
+
+
 def check_command_line(program: str, node: Callable[[], Any]) -> None:
-    """Print the help if asked for, and refuse arguments that are neither ours nor of ROS."""
+    """
+    Print the help of a node and exit if asked to; exit with 2 at an argument that is not known.
+
+    Known are those of ROS and, for a node with a life cycle, `--autostart`.
+    """
     parser = argparse.ArgumentParser(
         program,
         description=(inspect.getdoc(node) or '').partition('\n')[0],
@@ -175,24 +236,30 @@ def loaded_kernels() -> Any:
     return sys.modules.get('multicontact_control.compiled')
 
 
-def _run(node: Any, stop: Sequence[int]) -> None:
-    """Run a node; unless SIGTERM ends it, wait until reliable readers have all messages."""
+def _run_to_the_end(node: Any, stop: Sequence[int]) -> None:
+    """Run a node, then wait for its readers, close it and destroy it."""
     spinner = Spinner(node, stop)
     settle_process()
     try:
         node.run(spinner)
-        give_up = time.monotonic() + ACKNOWLEDGE_TIMEOUT
-        for publisher in node.publishers if signal.SIGTERM not in stop else ():
-            remaining = Duration(seconds=max(0.0, give_up - time.monotonic()))
-            if publisher.topic_name not in ('/rosout', '/parameter_events') and not (
-                publisher.wait_for_all_acked(remaining)
-            ):
-                node.get_logger().warning(
-                    f'{publisher.topic_name}: a reader has not acknowledged all messages'
-                )
+        if signal.SIGTERM not in stop:
+            _await_acknowledgement(node)
     finally:
         spinner.close()
         try:
             node.close()
         finally:
             node.destroy_node()
+
+
+def _await_acknowledgement(node: Any) -> None:
+    """Wait until reliable readers have all messages of a node, or say which do not."""
+    give_up = time.monotonic() + ACKNOWLEDGE_TIMEOUT
+    for publisher in node.publishers:
+        if publisher.topic_name in UNAWAITED_TOPICS:
+            continue
+        remaining = max(0.0, give_up - time.monotonic())
+        if not publisher.wait_for_all_acked(Duration(seconds=remaining)):
+            node.get_logger().warning(
+                f'{publisher.topic_name}: a reader has not acknowledged all messages'
+            )

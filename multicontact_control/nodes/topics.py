@@ -30,93 +30,86 @@ WORLD_FRAME = 'world'
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """One topic."""
+    """
+    One topic of the graph.
 
-    name: str  # relative
+    The recorder subscribes to each, so that it is not among the subscribers here.
+    """
+
+    name: str  # relative, that of the clock aside
     message: Any  # class
     publisher: str  # name of the node; `USER` for any, for which no node waits
-    subscribers: tuple[
-        str, ...
-    ]  # nodes that always do; the controller to one of two wrenches
+    # Nodes that always subscribe; the controller does to one of two wrenches.
+    subscribers: tuple[str, ...] = ()
     profile: QoSProfile = field(default_factory=lambda: qos.STREAM)  # of the publisher
-    rate: Literal['control', 'event'] = (
-        'control'  # once per control period, or now and then
-    )
+    # Once per control period, or now and then.
+    rate: Literal['control', 'event'] = 'control'
     content: str = ''  # of a message, for docs/reference
 
     @property
     def type_name(self) -> str:
-        """Return the type as ROS tools write it, e.g. ``sensor_msgs/msg/JointState``."""
-        return '/'.join(
-            [*self.message.__module__.split('.')[:2], self.message.__name__]
-        )
+        """The type as ROS tools write it, e.g. ``sensor_msgs/msg/JointState``."""
+        package, kind, *_ = self.message.__module__.split('.')
+        return f'{package}/{kind}/{self.message.__name__}'
 
 
 JOINT_STATES = Topic(
     'joint_states',
     JointState,
     SIM,
-    (CONTROLLER, RECORDER),
+    (CONTROLLER,),
     content='q [rad] and qd [rad/s] of every joint, in any order; effort [N m] if it is measured.',
 )
 WRENCH = Topic(
     'ft_sensor/wrench',
     WrenchStamped,
     SIM,
-    (RECORDER,),
     content='The wrist sensor in its own frame, with the weight of the tool in it [N, N m].',
 )
 WRENCH_FILTERED = Topic(
     'ft_sensor/wrench_filtered',
     WrenchStamped,
     SIM,
-    (RECORDER,),
     content="The same through the sensor's low-pass.",
 )
-WRENCHES = {
-    'raw': WRENCH,
-    'filtered': WRENCH_FILTERED,
-}  # by `wrench_input`, where one is read
+# By `wrench_input`, where a wrench is read.
+WRENCHES = {'raw': WRENCH, 'filtered': WRENCH_FILTERED}
 TRUE_FORCES = Topic(
     'ground_truth/contact_forces',
     JointState,
     SIM,
-    (RECORDER,),
     content='effort = true force per contact [N], for evaluation; no robot can publish it.',
 )
 EFFORT_COMMAND = Topic(
     'joint_effort_command',
     JointState,
     CONTROLLER,
-    (SIM, RECORDER),
+    (SIM,),
     content='effort [N m]; the stamp is that of the sample it answers.',
 )
 MEASURED_FORCES = Topic(
     'contact_forces/measured',
     JointState,
     CONTROLLER,
-    (ESTIMATOR, RECORDER),
+    (ESTIMATOR,),
     content='name = contact, effort = measured force [N].',
 )
 ESTIMATED_FORCES = Topic(
     'contact_forces/estimated',
     JointState,
     CONTROLLER,
-    (RECORDER,),
     content="effort = the observer's force [N], velocity = its rate [N/s].",
 )
 DESIRED_FORCES = Topic(
     'contact_forces/desired',
     JointState,
     CONTROLLER,
-    (RECORDER,),
     content='effort = desired force [N], as the supervisor passes it on.',
 )
 INNOVATION = Topic(
     'contact_forces/innovation',
     JointState,
     CONTROLLER,
-    (RECORDER,),
     content='effort = measured less predicted force [N], velocity = C P_1 C^T, position = the R '
     'that was used [N²].',
 )
@@ -124,7 +117,6 @@ STIFFNESS = Topic(
     'contact_forces/stiffness',
     JointState,
     CONTROLLER,
-    (RECORDER,),
     content='Only if the stiffness is found on-line: position = estimate, velocity = its standard '
     'error, effort = model in use [N/m].',
 )
@@ -132,7 +124,6 @@ STABILITY_MARGIN = Topic(
     'contact_forces/stability_margin',
     JointState,
     CONTROLLER,
-    (RECORDER,),
     content='Likewise: position = true over modelled stiffness at most, effort = how many times '
     'that the force loop would bear.',
 )
@@ -140,31 +131,28 @@ POSE = Topic(
     'operational_point/pose',
     PoseStamped,
     CONTROLLER,
-    (RECORDER,),
     content='The operational point in world axes [m].',
 )
 POSE_DESIRED = Topic(
     'operational_point/pose_desired',
     PoseStamped,
     CONTROLLER,
-    (RECORDER,),
     content='Where it should be [m].',
 )
 NOISE_VARIANCE = Topic(
     'contact_forces/noise_variance',
     JointState,
     ESTIMATOR,
-    (CONTROLLER, RECORDER),
+    (CONTROLLER,),
     content='effort = R per contact [N²]; the stamp is that of its newest sample.',
 )
 FORCE_COMMAND = Topic(
     'contact_forces/command',
     JointState,
     USER,
-    (RECORDER,),
-    qos.EVENT,
-    'event',
-    'name, and effort = desired force per contact, or couple [N]; or position = centre of '
+    profile=qos.EVENT,
+    rate='event',
+    content='name, and effort = desired force per contact, or couple [N]; or position = centre of '
     'pressure for each couple [m]. What is not named stays as it is; a force of 0 lets go. '
     'header.frame_id = identifier that `~/status` answers with, empty for none.',
 )
@@ -172,10 +160,10 @@ MOTION_COMMAND = Topic(
     'motion/command',
     MultiDOFJointTrajectoryPoint,
     USER,
-    (RECORDER,),
-    qos.EVENT,
-    'event',
-    'One transform: pose of the operational point in world axes, with a quaternion of unit '
+    profile=qos.EVENT,
+    rate='event',
+    content='One transform: pose of the operational point in world axes, with a '
+    'quaternion of unit '
     'length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number as '
     'identifier, 0 for none.',
 )
@@ -183,10 +171,10 @@ PUSH = Topic(
     f'{SIM}/push',
     Vector3Stamped,
     USER,
-    (RECORDER,),
-    qos.EVENT,
-    'event',
-    '`~/push` of the simulator: a force in world axes [N], of 150 N at most, that pushes the arm '
+    profile=qos.EVENT,
+    rate='event',
+    content='`~/push` of the simulator: a force in world axes [N], of 150 N at '
+    'most, that pushes the arm '
     'for 0.8 s. header.frame_id = `tool` to push the tool beyond the wrist sensor, empty for the '
     'operational point.',
 )
@@ -194,58 +182,54 @@ STATUS = Topic(
     f'{CONTROLLER}/status',
     DiagnosticStatus,
     CONTROLLER,
-    (RECORDER,),
-    qos.EVENT,
-    'event',
-    '`~/status` of the controller: whether each command with an identifier is accepted, why one '
+    profile=qos.EVENT,
+    rate='event',
+    content='`~/status` of the controller: whether each command with an identifier '
+    'is accepted, why one '
     'is refused, each change of its state and of the forces that it obeys.',
 )
 ROBOT_DESCRIPTION = Topic(
     'robot_description',
     String,
     SIM,
-    (RECORDER,),
-    qos.LATCHED,
-    'event',
-    'The URDF, also for a reader that comes late.',
+    profile=qos.LATCHED,
+    rate='event',
+    content='The URDF, also for a reader that comes late.',
 )
 CONTACT_MARKERS = Topic(
     'contact_markers',
     MarkerArray,
     CONTROLLER,
-    (RECORDER,),
-    qos.EVENT,
-    'event',
-    'Per contact the measured force as an arrow at its tip, at 25 Hz.',
+    profile=qos.EVENT,
+    rate='event',
+    content='Per contact the measured force as an arrow at its tip, at 25 Hz.',
 )
 SURFACE_MARKERS = Topic(
     'ground_truth/surfaces',
     MarkerArray,
     SIM,
-    (RECORDER,),
-    qos.LATCHED,
-    'event',
-    'What can be touched, as only the simulator knows it, also for a reader that comes late; '
+    profile=qos.LATCHED,
+    rate='event',
+    content='What can be touched, as only the simulator knows it, also for a '
+    'reader that comes late; '
     '25 Hz if it moves.',
 )
 DIAGNOSTICS = Topic(
     'diagnostics',
     DiagnosticArray,
     EVERY_NODE,
-    (RECORDER,),
-    qos.EVENT,
-    'event',
-    'Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the controller '
+    profile=qos.EVENT,
+    rate='event',
+    content='Once a second: rates, jitter, misses, latency, ages of inputs, '
+    'refusals; of the controller '
     'also publishers, reaction and causes, contact states and sensor.',
 )
 CLOCK = Topic(
-    '/clock',
+    '/clock',  # absolute
     Clock,
     'sim_node in lockstep',
-    (RECORDER,),
-    qos.STREAM,
-    'event',  # absolute
-    'Time of the newest sample.',
+    rate='event',
+    content='Time of the newest sample.',
 )
 
 TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from io import BufferedReader
 from pathlib import Path
 import re
@@ -21,89 +20,121 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
-WIDTH = 200  # characters of the topics that a line names
-METADATA = (
-    'metadata.yaml'  # of rosbag2: which files a recording has, and how many messages
-)
-JOINT_STATE, WRENCH, POSE = (
-    'sensor_msgs/msg/JointState',
-    'geometry_msgs/msg/WrenchStamped',
-    'geometry_msgs/msg/PoseStamped',
-)
+LONGEST_LIST = 200  # characters of the topics that a line names
+METADATA = 'metadata.yaml'  # of rosbag2: the files and the number of messages
+MCAP_NAME = re.compile(r'.*\.mcap(\.zstd?)?')
+NANOSECONDS = 1_000_000_000
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+WRENCH = 'geometry_msgs/msg/WrenchStamped'
+POSE = 'geometry_msgs/msg/PoseStamped'
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
-# The numbers of a message of a type by field and name.
-READERS: dict[str, Callable[[Any], dict[tuple[str, str], float]]] = {
-    JOINT_STATE: lambda message: {
-        (field, name): number
-        for field in ('position', 'velocity', 'effort')
-        for name, number in zip(message.name, getattr(message, field))
-    },
-    WRENCH: lambda message: {
-        ('wrench', f'{part}.{axis}'): getattr(getattr(message.wrench, part), axis)
-        for part in ('force', 'torque')
-        for axis in 'xyz'
-    },
-    POSE: lambda message: {
-        (field, axis): getattr(part, axis)
-        for field, part, axes in (
-            ('point', message.pose.position, 'xyz'),
-            ('quaternion', message.pose.orientation, 'xyzw'),
-        )
-        for axis in axes
-    },
-    MARKERS: lambda message: {
-        (axis, marker.ns.rpartition('/')[2]): getattr(marker.pose.position, axis)
-        for axis in 'xyz'
-        for marker in message.markers
-    },
-    # Of the controller: the forces that it obeys, e.g. `table 10, board 5`, and no stamp.
-    STATUS: lambda message: {
-        ('effort', name): float(force)
-        for value in message.values
-        if value.key == 'forces'
-        for each in value.value.split(', ')
-        if each
-        for name, force in [each.rsplit(' ', 1)]
-    },
+
+Numbers = dict[tuple[str, str], float]  # of one message, by field and name
+
+
+def read_joint_state(message: Any) -> Numbers:
+    """Return position, velocity and effort of each named joint, or contact, in SI units."""
+    numbers = {}
+    for field in ('position', 'velocity', 'effort'):
+        for name, number in zip(message.name, getattr(message, field)):
+            numbers[field, name] = number
+    return numbers
+
+
+def read_wrench(message: Any) -> Numbers:
+    """Return force [N] and torque [N m] as `wrench`, in the frame of the message's header."""
+    numbers = {}
+    for part in ('force', 'torque'):
+        vector = getattr(message.wrench, part)
+        for axis in 'xyz':
+            numbers['wrench', f'{part}.{axis}'] = getattr(vector, axis)
+    return numbers
+
+
+def read_pose(message: Any) -> Numbers:
+    """Return the position as `point` [m] and the orientation as `quaternion`, scalar last."""
+    numbers = {}
+    for axis in 'xyz':
+        numbers['point', axis] = getattr(message.pose.position, axis)
+    for axis in 'xyzw':
+        numbers['quaternion', axis] = getattr(message.pose.orientation, axis)
+    return numbers
+
+
+def read_markers(message: Any) -> Numbers:
+    """Return where each marker is, x, y and z [m], by the last part of its namespace."""
+    numbers = {}
+    for marker in message.markers:
+        name = marker.ns.rpartition('/')[2]
+        for axis in 'xyz':
+            numbers[axis, name] = getattr(marker.pose.position, axis)
+    return numbers
+
+
+def read_obeyed_forces(message: Any) -> Numbers:
+    """Return the forces that a controller obeys [N], of a status such as `table 10, board 5`."""
+    numbers = {}
+    for value in message.values:
+        if value.key == 'forces' and value.value:
+            for named_force in value.value.split(', '):
+                name, force = named_force.rsplit(' ', 1)
+                numbers['effort', name] = float(force)
+    return numbers
+
+
+READERS: dict[str, Callable[[Any], Numbers]] = {
+    JOINT_STATE: read_joint_state,
+    WRENCH: read_wrench,
+    POSE: read_pose,
+    MARKERS: read_markers,
+    STATUS: read_obeyed_forces,
 }
 
 
 class BagColumns:
-    """The messages of one topic of a type of `READERS`, in the order of the recording."""
+    """
+    The messages of one topic as columns of numbers, in the order of the recording.
+
+    The topic has one type of `READERS`. Numbers are kept in arrays of eight bytes each, so that
+    an hour at 500 Hz fits in memory.
+    """
 
     def __init__(self, type_name: str) -> None:
         self._type = type_name
-        self._stamps, self._published = array('q'), array('Q')
+        self._stamps = array('q')
+        self._published = array('Q')
         # Rows and numbers of the messages with the same fields and names: several nodes may share
-        # a topic. A number takes 8 bytes.
-        self._parts: dict[
+        # a topic.
+        self._groups: dict[
             tuple[tuple[str, str], ...], tuple[array[int], array[float]]
         ] = {}
 
-    def take(self, message: Any, published: int) -> None:
-        """Add a message that was sent at a time [ns since the epoch], or nothing if it fails."""
-        first = message.markers[0] if self._type == MARKERS else message
+    def add_message(self, message: Any, published: int) -> None:
+        """
+        Add a message that was sent at a time [ns since the epoch].
+
+        A message that cannot be read raises what its reader raises, and adds nothing.
+        """
         content = READERS[self._type](message)
         numbers = array('d', content.values())
-        stamps = array(
-            'q',
-            [
-                published
-                if self._type == STATUS
-                else (
-                    first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec
-                )
-            ],
-        )
-        rows, kept = self._parts.setdefault(tuple(content), (array('q'), array('d')))
+        stamp = array('q', [self._read_stamp(message, published)])
+        rows, values = self._groups.setdefault(tuple(content), (array('q'), array('d')))
         rows.append(len(self))
-        kept.extend(numbers)
-        self._stamps.extend(stamps)
+        values.extend(numbers)
+        self._stamps.extend(stamp)
         self._published.append(published)
 
+    def _read_stamp(self, message: Any, published: int) -> int:
+        """Return the stamp of a message [ns]: a status has none, markers have one each."""
+        if self._type == STATUS:
+            return published
+        stamped = message.markers[0] if self._type == MARKERS else message
+        stamp = stamped.header.stamp
+        return stamp.sec * NANOSECONDS + stamp.nanosec
+
     def __len__(self) -> int:
-        """Return the number of messages."""
+        """Return the number of messages m that were added."""
         return len(self._stamps)
 
     @property
@@ -118,22 +149,24 @@ class BagColumns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names in the first message that has any."""
-        return tuple(
-            dict.fromkeys(name for _, name in next(filter(None, self._parts), ()))
-        )
+        """Names in the first message that has any, each once."""
+        for labels in self._groups:
+            if labels:
+                return tuple(dict.fromkeys(name for _, name in labels))
+        return ()
 
     def values(self, field: str, names: Sequence[str] = ()) -> Matrix:
         """
         Return the numbers of a field, shape (m, k); NaN where a message has none of a name.
 
-        `names` are the order of the columns, by default that of the first message.
+        `names` are the order of the columns, by default that of the first message. Messages may
+        have their names in different orders, and only some of them.
         """
-        names = names or [
-            name for label, name in next(iter(self._parts)) if label == field
-        ]
+        if not names:
+            first_labels = next(iter(self._groups))
+            names = [name for label, name in first_labels if label == field]
         result = np.full((len(self), len(names)), np.nan)
-        for labels, (rows, numbers) in self._parts.items():
+        for labels, (rows, numbers) in self._groups.items():
             block = np.asarray(numbers).reshape(len(rows), len(labels))
             for column, name in enumerate(names):
                 if (field, name) in labels:
@@ -141,40 +174,56 @@ class BagColumns:
         return result
 
 
+class RecordingLoss(NamedTuple):
+    """
+    What a recording lacks of the messages that its metadata count.
+
+    A file may be absent, or cut off: then the run may have begun or ended elsewhere.
+    """
+
+    words: tuple[str, ...] = ()  # a remark for a person; none if nothing is lost
+    at_begin: bool = False  # whether it began before its first message that is there
+    at_end: bool = False  # whether it went on after the last
+
+
 @dataclass(frozen=True)
 class BagMessages:
-    """The messages of some topics of one graph."""
+    """The messages of some topics of one graph, and what the recording lacks of them."""
 
     by_topic: Mapping[str, BagColumns]  # by the name within the graph's namespace
-    others: tuple[str, ...]  # names of all other topics
-    cut_off: bool = False  # whether the recording ends in the middle
-    unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
-    lost: tuple[str, ...] = ()  # what is not there of the recording, in words
-    begin_lost: bool = False  # whether it began before its first message that is there
-    end_lost: bool = False  # whether it went on after the last
+    others: Sequence[str]  # full names of all other topics, sorted
+    cut_off: bool  # whether a file ends in the middle of a record
+    unreadable: Sequence[str]  # what could not be read of these topics, in words
+    loss: RecordingLoss
 
     def __str__(self) -> str:
-        """Return what else is there, for a line that says what is missing."""
-        what = shorten(', '.join(self.others) or 'nothing', WIDTH, placeholder=' ...')
-        cut_off = ', and a file that is cut off' if self.cut_off else ''
-        return '; '.join((what + cut_off, *self.unreadable))
+        """
+        Return what else is there, for a line that says what is missing.
+
+        Topics that were not asked for, a file that is cut off, and what could not be read.
+        """
+        names = ', '.join(self.others) or 'nothing'
+        there = shorten(names, LONGEST_LIST, placeholder=' ...')
+        if self.cut_off:
+            there += ', and a file that is cut off'
+        return '; '.join([there, *self.unreadable])
 
 
-class Listed(NamedTuple):
-    """What the metadata of a recording say that it holds."""
+class RecordingMetadata(NamedTuple):
+    """What ``metadata.yaml`` of rosbag2 says that a recording holds."""
 
-    files: tuple[str, ...]  # names, in the order of time
-    messages: int
+    files: Sequence[str]  # names, in the order of time
+    message_count: int
 
 
-def read_metadata(folder: Path) -> Listed | None:
+def read_metadata(folder: Path) -> RecordingMetadata | None:
     """Return what the metadata of a recording list, None without any; ConfigError if damaged."""
     path = folder / METADATA
     if not path.is_file():
         return None
     try:
         content = read_yaml(path)['rosbag2_bagfile_information']
-        return Listed(
+        return RecordingMetadata(
             tuple(content['relative_file_paths']), int(content['message_count'])
         )
     except (KeyError, TypeError, ValueError):
@@ -184,13 +233,20 @@ def read_metadata(folder: Path) -> Listed | None:
 
 
 def mcap_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a recording, or that file, also those compressed as a whole."""
-    files = [path] if path.is_file() else sorted(path.glob('*.mcap*'))
-    # rosbag2 counts bag_0, bag_1, ..., bag_10.
-    return sorted(
-        (file for file in files if re.search(r'\.mcap(\.zstd?)?$', file.name)),
-        key=lambda file: [int(part) for part in re.findall(r'\d+', file.name)],
-    )
+    """
+    Return the MCAP files of a recording in the order of time, or of a file itself.
+
+    Files that are compressed as a whole (``.mcap.zstd``) count. rosbag2 numbers its files bag_0,
+    bag_1, ..., bag_10.
+    """
+    candidates = [path] if path.is_file() else path.glob('*')
+    files = [file for file in candidates if MCAP_NAME.fullmatch(file.name)]
+    return sorted(files, key=_numbers_in_name)
+
+
+def _numbers_in_name(file: Path) -> tuple[list[int], str]:
+    """Return what files are sorted by: bag_2 stands before bag_10."""
+    return [int(digits) for digits in re.findall(r'\d+', file.name)], file.name
 
 
 def read_messages(
@@ -201,100 +257,160 @@ def read_messages(
     """
     Read the messages of some topics of an MCAP file or a folder, as far as the files go.
 
-    `types` has the type of each topic, one of `READERS`, by its name within the `namespace` of
-    the graph. Raises ConfigError if there is no file, RunError if it holds several graphs and no
-    namespace is given.
+    Parameters
+    ----------
+    path
+        Folder of a recording, or one file of it.
+    types
+        Type of each topic, one of `READERS`, by its name within the namespace of the graph.
+    namespace
+        Namespace of the graph; None for the only one that is recorded.
+
+    Raises
+    ------
+    ConfigError
+        If there is no MCAP file.
+    RunError
+        If a file cannot be opened, or several graphs were recorded and no namespace is given.
+
     """
-    columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
-    names: set[str] = set()  # full names of all topics
-    unreadable: dict[str, str] = {}
-    cut_off = last_cut_off = False
-    count = 0  # of all messages
-    suffix = re.compile(rf'(?:(.*)/)?({"|".join(map(re.escape, types))})')
-    for record in _records(path):
+    columns: dict[str, BagColumns] = {}  # by full name
+    unreadable: dict[str, str] = {}  # why, by full name
+    places: dict[str, tuple[str, str]] = {}  # namespace and topic, by full name
+    count = 0
+    cut_off = False
+    last_cut_off = False
+    for record in _read_records(path):
         last_cut_off = record is None
         if record is None:
             cut_off = True
             continue
         count += 1
-        schema, channel, message, decode = record
-        name = channel.topic.strip('/')
-        names.add(name)
-        place = suffix.fullmatch(name)
-        if place is None or name in unreadable:
+        name = record.topic
+        if name not in places:
+            places[name] = _split_name(name, types)
+        _, topic = places[name]
+        if not topic or name in unreadable:
             continue
-        kind, key = types[place[2]], (place[1] or '', place[2])
-        if schema is None or schema.name != kind:
-            unreadable[name] = (
-                f'expected {kind}, got {schema.name if schema else "no type"}'
-            )
+        if record.type_name != types[topic]:
+            unreadable[name] = f'expected {types[topic]}, got {record.type_name}'
             continue
-        taken = columns.get(key) or BagColumns(kind)
+        of_topic = columns.get(name)
+        if of_topic is None:
+            of_topic = BagColumns(types[topic])
         try:
-            taken.take(decode(), message.publish_time or message.log_time)
-        except (
-            Exception
-        ) as error:  # whatever a message of another program makes of its decoder
+            of_topic.add_message(record.decode(), record.published)
+        except Exception as error:  # a message of another program may break any decoder
             unreadable[name] = f'cannot be read: {error}'
         else:
-            columns[key] = taken
-    chosen = _namespace(path, [space for space, _ in columns], namespace)
-    lost, begin_lost, end_lost = _compare_with_metadata(path, count, last_cut_off)
+            columns[name] = of_topic
+    by_graph: dict[str, dict[str, BagColumns]] = {}
+    for name, of_topic in columns.items():
+        space, topic = places[name]
+        by_graph.setdefault(space, {})[topic] = of_topic
+    if namespace is None:
+        namespace = _only_namespace(path, by_graph)
     return BagMessages(
-        {topic: taken for (space, topic), taken in columns.items() if space == chosen},
-        tuple(
-            sorted(
-                name
-                for name in names
-                if not (
-                    (place := suffix.fullmatch(name))
-                    and (place[1] or '', place[2]) in columns
-                )
-            )
-        ),
-        cut_off,
-        tuple(f'{name}: {why}' for name, why in unreadable.items()),
-        lost,
-        begin_lost,
-        end_lost,
+        by_topic=by_graph.get(namespace.strip('/'), {}),
+        others=sorted(places.keys() - columns.keys()),
+        cut_off=cut_off,
+        unreadable=[f'{name}: {why}' for name, why in unreadable.items()],
+        loss=_compare_with_metadata(path, count, last_cut_off),
     )
 
 
-def _compare_with_metadata(
-    path: Path,
-    count: int,
-    last_cut_off: bool,
-) -> tuple[tuple[str, ...], bool, bool]:
+def _split_name(name: str, topics: Mapping[str, str]) -> tuple[str, str]:
+    """Return namespace and topic of a full name, which is '' for a topic that is not asked for."""
+    for topic in topics:
+        namespace, found, rest = f'/{name}'.rpartition(f'/{topic}')
+        if found and not rest:
+            return namespace.strip('/'), topic
+    return '', ''
+
+
+def _only_namespace(path: Path, by_graph: Mapping[str, Mapping[str, object]]) -> str:
+    """Return the namespace of the only graph; RunError if there are several."""
+    # Grippers and the like have joint states of their own: one topic of several makes no graph.
+    graphs = [space for space, topics in by_graph.items() if len(topics) > 1]
+    known = sorted(graphs or by_graph)
+    if len(known) > 1:
+        names = ', '.join(f"'{space}'" for space in known)
+        raise RunError(
+            f'{path}: expected the topics of one graph, got the namespaces {names}; '
+            '--namespace chooses one'
+        )
+    return known[0] if known else ''
+
+
+def _compare_with_metadata(path: Path, count: int, last_cut_off: bool) -> RecordingLoss:
     """
-    Return what a recording of `count` messages lacks, in words, and whether its begin or its end.
+    Return what a recording lacks of which `count` messages could be read.
 
     A file that has another name than the metadata say, or is cut off behind its last message, is
     no loss: every message is there.
     """
     try:
-        listed = read_metadata(path) if path.is_dir() else None
+        listed = read_metadata(path)
     except ConfigError as error:
-        return (str(error),), False, last_cut_off
+        return RecordingLoss((str(error),), at_end=last_cut_off)
     if listed is None:
-        return (), False, last_cut_off
-    if count >= listed.messages:
-        return (), False, False
+        return RecordingLoss(at_end=last_cut_off)
+    if count >= listed.message_count:
+        return RecordingLoss()
     there = {file.name.removesuffix('.zstd') for file in mcap_files(path)}
     absent = [name for name in listed.files if name.removesuffix('.zstd') not in there]
-    lost = f'{METADATA} counts {listed.messages} messages, {count} are there'
+    words = f'{METADATA} counts {listed.message_count} messages, {count} are there'
     if absent:
-        lost += f'; without {", ".join(absent)}'
-    end_lost = last_cut_off or listed.files[-1] in absent
-    return (lost,), listed.files[0] in absent, end_lost
+        words += f'; without {", ".join(absent)}'
+    return RecordingLoss(
+        (words,),
+        at_begin=listed.files[0] in absent,
+        at_end=last_cut_off or listed.files[-1] in absent,
+    )
 
 
-def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | None]:
-    """Yield schema, channel, record and decoder of every message; None where a file is cut off."""
+class _RecordedMessage(NamedTuple):
+    """One message as it lies in a file."""
+
+    schema: Any  # of mcap; None for a message without a type
+    channel: Any
+    message: Any
+    factory: DecoderFactory  # of the file: each file numbers its types anew
+
+    @property
+    def topic(self) -> str:
+        return str(self.channel.topic.strip('/'))
+
+    @property
+    def type_name(self) -> str:
+        return self.schema.name if self.schema else 'no type'
+
+    @property
+    def published(self) -> int:
+        """When it was sent, or else recorded [ns since the epoch]."""
+        return int(self.message.publish_time or self.message.log_time)
+
+    def decode(self) -> Any:
+        """Return the message, also one that rosbag2 has compressed by itself."""
+        encoding = self.channel.message_encoding
+        decode = self.factory.decoder_for(encoding, self.schema)
+        if decode is None:
+            raise ValueError(f'{encoding} with {self.schema.encoding}')
+        data = self.message.data
+        if data[:4] == zstandard.FRAME_HEADER:
+            data = zstandard.decompress(data)
+        return decode(data)
+
+
+def _read_records(path: Path) -> Iterator[_RecordedMessage | None]:
+    """Yield every message; None where a file is cut off."""
     files = mcap_files(path)
     if not files:
-        hint = '`ros2 bag convert` makes MCAP of a database' * any(path.glob('*.db3*'))
+        databases = any(path.glob('*.db3*'))
         raise ConfigError(
-            str(path), 'a run, an .mcap file or a folder with one', hint=hint
+            str(path),
+            'a run, an .mcap file or a folder with one',
+            hint='`ros2 bag convert` makes MCAP of a database' if databases else '',
         )
     for file in files:
         try:
@@ -302,50 +418,16 @@ def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | N
         except OSError as error:
             raise RunError(f'{file}: {error.strerror}') from None
         with stream:
-            # mcap's seeking reader would hold all messages before it hands out the first.
-            reader = NonSeekingReader(
-                stream
-                if file.suffix == '.mcap'
-                else BufferedReader(
-                    zstandard.ZstdDecompressor().stream_reader(
-                        stream, read_across_frames=True
-                    )
+            if file.suffix != '.mcap':
+                decompressor = zstandard.ZstdDecompressor()
+                stream = BufferedReader(
+                    decompressor.stream_reader(stream, read_across_frames=True)
                 )
-            )
-            messages = reader.iter_messages(log_time_order=False)
-            factory = (
-                DecoderFactory()
-            )  # each file of a recording numbers its types anew
-            while True:
-                try:
-                    record = next(messages, None)
-                except Exception:  # many kinds, of damaged lengths, names and checksums
-                    yield None
-                    break
-                if record is None:
-                    break
-                yield *record, partial(_decoded, factory, *record)
-
-
-def _decoded(factory: DecoderFactory, schema: Any, channel: Any, record: Any) -> Any:
-    """Return a message, also of one that rosbag2 has compressed by itself."""
-    decode = factory.decoder_for(channel.message_encoding, schema)
-    if decode is None:
-        raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
-    data = record.data
-    return decode(
-        zstandard.decompress(data) if data[:4] == zstandard.FRAME_HEADER else data
-    )
-
-
-def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
-    """Return the namespace of a graph: that asked for, or the only one."""
-    # Grippers and the like have joint states of their own: one topic of several makes no graph.
-    known = {space for space in spaces if spaces.count(space) > 1} or set(spaces)
-    if namespace is None and len(known) > 1:
-        names = ', '.join(f"'{space}'" for space in sorted(known))
-        raise RunError(
-            f'{path}: expected the topics of one graph, got the namespaces {names}; '
-            '--namespace chooses one'
-        )
-    return known.pop() if namespace is None and known else (namespace or '').strip('/')
+            # mcap's seeking reader would hold all messages before it hands out the first.
+            reader = NonSeekingReader(stream)
+            factory = DecoderFactory()
+            try:
+                for record in reader.iter_messages(log_time_order=False):
+                    yield _RecordedMessage(*record, factory)
+            except Exception:  # many kinds, of damaged lengths, names and checksums
+                yield None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from multicontact_control.arrays import Vector
@@ -19,11 +19,7 @@ from multicontact_control.force.noise import (
     NoiseEstimator,
 )
 from multicontact_control.loop import ControlLoop
-from multicontact_control.runs.recording import (
-    empty_run_data,
-    OF_STIFFNESS,
-    RunData,
-)
+from multicontact_control.runs.recording import empty_run_data, RunData
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
@@ -39,9 +35,10 @@ from sim_bridge.plant import Plant, Sample
 
 HISTORY = 65  # ticks
 PROGRESS_TICKS = 100
-# Of a recording, what the sample and the answer say.
-SAMPLED = ('q', 'qd', 'effort', 'wrench', 'wrench_filtered')
-ANSWERED = ('alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation')
+# The series of a recording that are fields of the sample, the answer and the contacts.
+OF_SAMPLE = ('q', 'qd', 'effort', 'wrench', 'wrench_filtered')
+OF_ANSWER = ('alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation')
+OF_STIFFNESS = ('stiffness', 'stiffness_est', 'stiffness_std', 'margin')
 
 Corruption = Callable[[TickInputs], TickInputs]
 
@@ -65,9 +62,10 @@ class ClosedLoop:
     ) -> None:
         self.setup = setup
         config = setup.controller
+        reference = None if commanded else setup.reference()
         self.control = ControlLoop(
             config,
-            None if commanded else setup.reference(),
+            reference,
             CommandLimits(),
             setup.urdf_dir,
             supervised=supervised,
@@ -85,9 +83,8 @@ class ClosedLoop:
             len(config.columns), config.initial_noise_variance
         )
         self.command: Vector = self.plant.initial_torque
-        self.history: deque[TickInputs] = deque(
-            maxlen=HISTORY
-        )  # of `inputs`, newest last
+        # What `inputs` has returned, newest last.
+        self.history: deque[TickInputs] = deque(maxlen=HISTORY)
 
     @property
     def status(self) -> SupervisorStatus:
@@ -100,13 +97,17 @@ class ClosedLoop:
 
     def inputs(self) -> TickInputs:
         """Return what is known at this tick if nothing is wrong with it: sample, and R before."""
-        h, k, sample = self.setup.controller.period, self.tick, self.sample
-        wrench = getattr(sample, self.setup.controller.wrench_series)
+        config = self.setup.controller
+        sample = self.sample
+        time = self.tick * config.period
+        variance = None
+        if self.tick > 0:
+            variance = VarianceInput((self.tick - 1) * config.period, self.variance)
         return TickInputs(
-            time=k * h,
-            joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
-            wrench=WrenchInput(k * h, wrench),
-            variance=VarianceInput((k - 1) * h, self.variance) if k else None,
+            time,
+            JointInput(time, sample.q, sample.qd, effort=sample.effort),
+            WrenchInput(time, getattr(sample, config.wrench_series)),
+            variance,
         )
 
     def answer(self, corrupt: Corruption | None = None) -> ControlOutput:
@@ -119,7 +120,9 @@ class ClosedLoop:
         """
         inputs = self.inputs()
         self.history.append(inputs)
-        self.command = self.control.step(inputs if corrupt is None else corrupt(inputs))
+        if corrupt is not None:
+            inputs = corrupt(inputs)
+        self.command = self.control.step(inputs)
         output = self.control.output
         if output is None:
             raise RunError(
@@ -129,44 +132,53 @@ class ClosedLoop:
         return output
 
     def act(self) -> None:
-        """Let the command act on the plant when its time has come, and take the next sample."""
-        self._delay.command(self.tick, self.command)
+        """
+        Let the command act on the plant when its time has come, and take the next sample.
+
+        The command of tick k reaches the plant with k + `plant.actuator_delay_ticks`.
+        """
+        self._delay.enter_command(self.tick, self.command)
         self.sample = self.plant.step(self._delay.torque_for(self.tick))
         self.tick += 1
 
     def advance(self, corrupt: Corruption | None = None) -> ControlOutput:
-        """Take one tick: `answer`, then `act`."""
+        """Take one tick: `answer`, then `act`; return the answer, and raise what it raises."""
         output = self.answer(corrupt)
         self.act()
         return output
 
     def close(self) -> None:
-        """Give the simulator's memory back."""
+        """Give the simulator's memory back; the loop cannot be stepped any more."""
         self.plant.close()
 
 
 def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vector:
-    """Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2]."""
-    answer = output.answer
-    return estimator.update(
-        output.contacts['alpha_meas'],
-        Innovation(
+    """
+    Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2].
+
+    Estimators of innovations get what the observers did not expect (P04 eq. 42), all others the
+    measured forces alone.
+    """
+    innovation = None
+    if estimator.uses_innovation:
+        answer = output.answer
+        innovation = Innovation(
             answer['innovation'], answer['prior_variance'], answer['variance_used']
         )
-        if estimator.uses_innovation
-        else None,
-    )
+    return estimator.update(output.contacts['alpha_meas'], innovation)
 
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What a run in process leaves."""
+    """
+    What a run in process leaves: its series, up to where it ended, and why it ended there.
+
+    A run ends early where the arm has no torque for its posture, or an infinite one.
+    """
 
     data: RunData
-    ended_early: str = ''  # why, if it did
-    events: tuple[
-        tuple[float, str], ...
-    ] = ()  # of the supervisor: time [s] and what changed
+    ended_early: str  # why; empty for a run of its whole length
+    events: Sequence[tuple[float, str]]  # of the supervisor: time [s] and what changed
 
 
 def run_in_process(
@@ -179,14 +191,24 @@ def run_in_process(
     """
     Run a scenario as fast as it goes, up to where the arm can no longer be controlled.
 
-    `on_progress` is called every 100 ticks with the time [s] and the measured forces [N],
-    `disturb` with the loop before each tick.
+    Parameters
+    ----------
+    setup
+        The scenario with controller, estimator and plant, as `resolve` returns it.
+    on_progress
+        Called every 100 ticks with the time [s] and the measured forces, shape (r,) [N].
+    supervised
+        Whether contact states, watchdogs and limits are around the control law.
+    disturb
+        Called with the loop before each tick, to push the arm or to change what it does.
+
     """
     data = empty_run_data(setup.ticks, setup.controller)
-    ended_early, done = '', setup.ticks
+    ended_early = ''
+    recorded = 0
     loop = ClosedLoop(setup, supervised=supervised)
     try:
-        for k in range(setup.ticks):
+        for tick in range(setup.ticks):
             if disturb is not None:
                 disturb(loop)
             try:
@@ -196,39 +218,37 @@ def run_in_process(
                 ContactGeometryError,
                 np.linalg.LinAlgError,
             ) as error:
-                ended_early, done = f'tick {k}: {error}', k
+                ended_early = f'tick {tick}: {error}'
                 break
-            _record(data, loop, output)
+            _record_tick(data, loop, output)
+            recorded = tick + 1
             if not np.isfinite(output.torque).all():
-                ended_early, done = (
-                    f'tick {k}: the commanded torque is not finite',
-                    k + 1,
-                )
+                ended_early = f'tick {tick}: the commanded torque is not finite'
                 break
-            if k + 1 < setup.ticks:
+            if recorded < setup.ticks:
                 loop.act()
-            if on_progress is not None and k % PROGRESS_TICKS == 0:
-                on_progress(data.time[k], output.contacts['alpha_meas'])
+            if on_progress is not None and tick % PROGRESS_TICKS == 0:
+                on_progress(data.time[tick], output.contacts['alpha_meas'])
     finally:
         loop.close()
-    return LoopResult(
-        data.part(0, done), ended_early, tuple(loop.control.events.events)
-    )
+    return LoopResult(data.part(0, recorded), ended_early, loop.control.events.events)
 
 
-def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
-    k = loop.tick
-    for name in SAMPLED:
-        getattr(data, name)[k] = getattr(loop.sample, name)
-    for name in ANSWERED:
-        getattr(data, name)[k] = output.answer[name]
-    data.torque[k], data.alpha_meas[k] = output.torque, output.contacts['alpha_meas']
+def _record_tick(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
+    """Write sample and answer of the loop's tick into the row of that tick."""
+    row = loop.tick
+    for name in OF_SAMPLE:
+        getattr(data, name)[row] = getattr(loop.sample, name)
+    for name in OF_ANSWER:
+        getattr(data, name)[row] = output.answer[name]
     if loop.setup.controller.force.stiffness == 'adaptive':
         for name in OF_STIFFNESS:
-            getattr(data, name)[k] = output.contacts[name]
-    data.alpha_true[k] = loop.sample.contact_force
-    data.noise_variance[k] = loop.variance
-    data.position[k] = output.pose.position_world
-    data.quaternion[k] = output.pose.quaternion_xyzw
-    data.position_des[k] = output.pose_des.position_world
-    data.quaternion_des[k] = output.pose_des.quaternion_xyzw
+            getattr(data, name)[row] = output.contacts[name]
+    data.torque[row] = output.torque
+    data.alpha_meas[row] = output.contacts['alpha_meas']
+    data.alpha_true[row] = loop.sample.contact_force
+    data.noise_variance[row] = loop.variance
+    data.position[row] = output.pose.position_world
+    data.quaternion[row] = output.pose.quaternion_xyzw
+    data.position_des[row] = output.pose_des.position_world
+    data.quaternion_des[row] = output.pose_des.quaternion_xyzw

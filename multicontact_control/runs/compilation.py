@@ -35,51 +35,59 @@ KEPT = 5  # folders, each for one state of the sources
 
 def ensure_compiled() -> int:
     """
-    Compile every kernel, unless the cache has them; return how many the cache has got now.
+    Compile every kernel, unless the cache has them.
 
-    One command at a time does so, on two cores.
+    One command at a time does so, on two cores; others wait for it. Returns the number of compiled
+    kernels in the cache if this call has made them, else 0. Without a folder for the cache nothing
+    is compiled now, and a warning is printed.
     """
     folder = find_cache_folder()
-    if folder is not None and _marker(folder).is_file():
+    if folder is not None and _completion_file(folder).is_file():
         return 0
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     if folder is None:
         console.print(NO_FOLDER, style='yellow')
         return 0
-    with (folder / LOCK_FILE).open(
-        'w'
-    ) as lock:  # the system frees it when this process ends
+    # The system frees the lock when this process ends.
+    with (folder / LOCK_FILE).open('w') as lock:
         console.print(
             'compiling the numerical kernels, once (half a minute on two cores), into '
             f'{folder}'
         )
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if _marker(folder).is_file():
+        if _completion_file(folder).is_file():
             return 0
-        places = [str(HERE.parent), os.environ.get('PYTHONPATH', '')]
-        with Popen(
-            [sys.executable, '-c', BESIDE],
-            stdout=DEVNULL,
-            stderr=PIPE,
-            text=True,
-            env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)},
-        ) as beside:
-            _compile_law()
-            _, errors = beside.communicate()
-        if beside.returncode:
+        errors = _compile_on_two_cores()
+        if errors:
             console.print(
                 f'warning: the second compiler failed, one goes on:\n{errors}',
                 style='yellow',
             )
-        _call_all()
-        _marker(folder).touch()
-    alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
-    for outdated in sorted(alike, key=os.path.getmtime)[:-KEPT]:
+        _call_remaining_kernels()
+        _completion_file(folder).touch()
+    package = folder.name.rpartition('-')[0]
+    folders = sorted(folder.parent.glob(f'{package}-*'), key=os.path.getmtime)
+    for outdated in folders[:-KEPT]:
         shutil.rmtree(outdated, ignore_errors=True)
-    return sum(1 for _ in folder.rglob('*.nbc'))  # numba's files, one for each
+    return len(list(folder.rglob('*.nbc')))  # numba's files, one for each
 
 
-def _marker(folder: Path) -> Path:
+def _compile_on_two_cores() -> str:
+    """Compile the law here and the rest beside; return what the other process failed with."""
+    places = [str(HERE.parent), os.environ.get('PYTHONPATH', '')]
+    with Popen(
+        [sys.executable, '-c', BESIDE],
+        stdout=DEVNULL,
+        stderr=PIPE,
+        text=True,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)},
+    ) as beside:
+        _compile_law()
+        _, errors = beside.communicate()
+    return errors if beside.returncode else ''
+
+
+def _completion_file(folder: Path) -> Path:
     """Return the file that says that all is compiled, for these libraries and this processor."""
     parts = [
         version('numba'),
@@ -88,7 +96,8 @@ def _marker(folder: Path) -> Path:
         llvm.get_host_cpu_name(),
         llvm.get_host_cpu_features().flatten(),
     ]
-    return folder / f'complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}'
+    digest = hashlib.sha256(repr(parts).encode()).hexdigest()
+    return folder / f'complete-{digest[:16]}'
 
 
 def compile_beside() -> None:
@@ -105,7 +114,8 @@ def compile_beside() -> None:
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
     from sim_bridge.plant import Plant
 
-    mass_matrix, jacobian = np.eye(6, order='F'), np.eye(6)  # as pinocchio gives them
+    mass_matrix = np.eye(6, order='F')  # as pinocchio gives it
+    jacobian = np.eye(6)
     joints: Any = np.zeros(6, dtype=JOINT)
     controls: Any = np.zeros(1, dtype=CONTROL)
     contacts: Any = np.zeros(2, dtype=CONTACT)
@@ -134,7 +144,7 @@ def _compile_law() -> None:
     Controller(setup.controller, RobotModel(setup.controller.robot, setup.urdf_dir))
 
 
-def _call_all() -> None:
+def _call_remaining_kernels() -> None:
     """Make numba compile all that is left, above all the tick."""
     from multicontact_control.force.force_law import continue_laws, make_force_laws
     from multicontact_control.force.noise import make_noise_estimator
@@ -153,16 +163,17 @@ def _call_all() -> None:
         make_noise_estimator(
             quick.noise_estimator.model_copy(update={'estimator': estimator})
         )
-    configs = [
-        resolve('quick', preset=name).controller for name in ('adaptive', 'laws/dob')
-    ]
-    laws = [make_force_laws(config) for config in (configs[0], *configs)]
-    laws[0]['observer']['running'] = True
-    for new, old in zip(laws[1:], laws):
-        continue_laws(new, old)
-    estimate_stiffness(
-        laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0, np.zeros(1, dtype=FIT_SPACE)[0]
-    )
+    adaptive = resolve('quick', preset='adaptive').controller
+    other_law = resolve('quick', preset='laws/dob').controller
+    running = make_force_laws(adaptive)
+    running['observer']['running'] = True
+    for config in (adaptive, other_law):
+        laws = make_force_laws(config)
+        continue_laws(laws, running)
+        running = laws
+    stiffness = make_force_laws(adaptive)[0]['stiffness']
+    space = np.zeros(1, dtype=FIT_SPACE)[0]
+    estimate_stiffness(stiffness, 0.0, 0.0, 0.0, 0.0, space)
     friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
     for plant, friction, supervised in (
         ('flexible', 0.25, True),
@@ -173,12 +184,6 @@ def _call_all() -> None:
         setup = resolve(
             'quick', plant=plant, plant_overrides={'joint_friction_scale': friction}
         )
-        run_in_process(
-            replace(
-                setup,
-                scenario=setup.scenario.model_copy(
-                    update={'duration': TICKS * setup.controller.period}
-                ),
-            ),
-            supervised=supervised,
-        )
+        duration = TICKS * setup.controller.period  # shorter than any that is accepted
+        scenario = setup.scenario.model_copy(update={'duration': duration})
+        run_in_process(replace(setup, scenario=scenario), supervised=supervised)

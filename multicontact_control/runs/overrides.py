@@ -7,18 +7,16 @@ The first part is the configuration; ``*`` stands for every contact.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 import json
-from types import NoneType
-from typing import Any, cast, TypeVar
+from typing import Any
 
 from multicontact_control.config import Config, merge, validate
 from multicontact_control.errors import ConfigError, RosError
-from multicontact_control.runs.scenario import External, Setup
+from multicontact_control.runs.scenario import Setup
 from pydantic import BaseModel
 import yaml
-
-T = TypeVar('T')
 
 ARGUMENTS = {  # of `resolve`, by section
     'controller': 'controller',
@@ -27,7 +25,7 @@ ARGUMENTS = {  # of `resolve`, by section
     'scenario': 'scenario_overrides',
 }
 EVERY = '*'
-OF_THE_RUN = {  # parameters of nodes, and what sets them in a run
+SET_BY_RUN = {  # parameters of nodes, and what sets them in a run
     'supervised': 'give --bare',
     'lockstep': 'give --free-running',
     'speed': 'give --speed',
@@ -41,127 +39,151 @@ OF_THE_RUN = {  # parameters of nodes, and what sets them in a run
 
 
 def read_settings(settings: Sequence[str]) -> dict[str, Any]:
-    """Read ``KEY=VALUE`` texts, values as in a YAML file; ConfigError for what is none."""
+    """
+    Read ``KEY=VALUE`` texts, values as in a YAML file; ConfigError for what is none.
+
+    Returns the values by their dotted names, in the order of the texts; the last of several with
+    one name counts.
+    """
     values = {}
     for text in settings:
         key, sign, value = text.partition('=')
-        if not sign or not key.strip():
+        name = key.strip()
+        if not sign or not name:
             raise ConfigError(
                 '--set', 'KEY=VALUE, e.g. plant.surfaces.*.stiffness=60000', f"'{text}'"
             )
         try:
-            values[key.strip()] = yaml.safe_load(value)
+            values[name] = yaml.safe_load(value)
         except yaml.YAMLError:
             raise ConfigError(
-                f'--set {key.strip()}', 'a value as in a YAML file', f"'{value}'"
+                f'--set {name}', 'a value as in a YAML file', f"'{value}'"
             ) from None
     return values
 
 
-def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
-    """Return the places of a parameter, several for a ``*``; ConfigError of a `field` if none."""
+def find_places(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
+    """
+    Return the places of a parameter in a setup, several for a ``*``.
+
+    `name` is dotted, and a place has a key for each of its parts. Raises ConfigError, of `field`,
+    if there is no such parameter.
+    """
     section, *inner = name.split('.')
     if section not in ARGUMENTS or not inner:
         raise ConfigError(
             field, f'a dotted name that begins with {", ".join(ARGUMENTS)}', f"'{name}'"
         )
-    if _is_foreign(name, setup):
-        _refuse_of_node(section, inner[0], field)
+    with suppress(RosError):
+        if _is_of_node(name, setup):
+            raise ConfigError(field, hint=_explain_node_parameter(inner[0]))
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
-        places = [
-            (*place, key)
-            for place in places
-            for key in _keys(setup, place, part, field)
-        ]
+        longer = []
+        for place in places:
+            for key in _matching_keys(setup, place, part, field):
+                longer.append((*place, key))
+        places = longer
     return places
 
 
-def _refuse_of_node(section: str, parameter: str, field: str) -> None:
-    """Refuse a parameter that only the node of a section knows; ConfigError of a `field`."""
-    try:
-        configs = node_configs()
-    except RosError:
-        return
-    if section not in configs or parameter not in configs[section].model_fields:
-        return
-    if parameter in OF_THE_RUN:
-        hint = f'a parameter of a node, which `run` sets: {OF_THE_RUN[parameter]}'
-    else:
-        hint = 'a parameter of a node: only `run` takes it, and `view` that starts one'
-    raise ConfigError(field, hint=hint)
+def _explain_node_parameter(parameter: str) -> str:
+    """Return why a parameter that only a node knows is refused, and what sets it."""
+    if parameter in SET_BY_RUN:
+        return f'a parameter of a node, which `run` sets: {SET_BY_RUN[parameter]}'
+    return 'a parameter of a node: only `run` takes it, and `view` that starts one'
 
 
-def _keys(setup: Setup, place: tuple[str, ...], part: str, field: str) -> list[str]:
-    """Return the keys at a place that a part of a name stands for."""
+def _matching_keys(
+    setup: Setup, place: tuple[str, ...], part: str, field: str
+) -> list[str]:
+    """Return the keys at a place that a part of a name stands for; ConfigError if none."""
     value = _value_at(setup, place)
-    known = (
-        list(type(value).model_fields)
-        if isinstance(value, BaseModel)
-        else [str(key) for key in value]
-        if isinstance(value, Mapping)
-        else []
-    )
+    known: list[str] = []
+    if isinstance(value, BaseModel):
+        known = list(type(value).model_fields)
+    elif isinstance(value, Mapping):
+        known = list(value)
+    where = '.'.join(place)
     if not known:
-        raise ConfigError(
-            field, f'a parameter; {".".join(place)} has no parts here', f"'{part}'"
-        )
-    if part not in (EVERY, *known):
-        raise ConfigError(
-            field, f'{".".join(place)} and one of {", ".join(known)}', f"'{part}'"
-        )
-    return known if part == EVERY else [part]
+        raise ConfigError(field, f'a parameter; {where} has no parts here', f"'{part}'")
+    if part == EVERY:
+        return known
+    if part not in known:
+        raise ConfigError(field, f'{where} and one of {", ".join(known)}', f"'{part}'")
+    return [part]
 
 
-def _value_at(setup: Setup, place: tuple[str, ...]) -> Any:
+def _value_at(setup: Setup, place: Sequence[str]) -> Any:
     value: Any = setup
     for part in place:
-        value = value[part] if isinstance(value, Mapping) else getattr(value, part)
+        if isinstance(value, Mapping):
+            value = value[part]
+        else:
+            value = getattr(value, part)
     return value
 
 
-def value_of(name: str, setup: Setup) -> Any:
-    """Return a parameter, a list or mapping as JSON; None for a ``*`` whose values differ."""
-    values = [_value_at(setup, place) for place in paths_of(name, setup, name)]
-    if any(value != values[0] for value in values):
+def read_value(name: str, setup: Setup) -> Any:
+    """
+    Return a parameter of a setup by its dotted name, as a cell of a table has it.
+
+    A list or mapping is JSON; the value is None for a ``*`` whose values differ. Raises
+    ConfigError for a name that the setup does not have.
+    """
+    first, *others = [
+        _value_at(setup, place) for place in find_places(name, setup, name)
+    ]
+    if any(value != first for value in others):
         return None
-    return (
-        values[0]
-        if isinstance(values[0], (bool, int, float, str, NoneType))
-        else json.dumps(
-            values[0],
-            separators=(',', ':'),
-            default=lambda model: model.model_dump(mode='json'),
-        )
+    if first is None or isinstance(first, (bool, int, float, str)):
+        return first
+    return json.dumps(
+        first,
+        separators=(',', ':'),
+        default=lambda model: model.model_dump(mode='json'),
     )
 
 
-def unit_of(name: str, setup: Setup) -> str:
-    """Return the unit that a parameter was declared with, empty if there is none."""
-    *place, last = paths_of(name, setup, name)[0]
-    model = _value_at(setup, tuple(place))
-    extra = (
-        type(model).model_fields[last].json_schema_extra
-        if (isinstance(model, BaseModel))
-        else None
-    )
-    return str(extra.get('unit', '')) if isinstance(extra, dict) else ''
+def find_unit(name: str, setup: Setup) -> str:
+    """Return the SI unit that a parameter was declared with, empty if there is none."""
+    *place, last = find_places(name, setup, name)[0]
+    model = _value_at(setup, place)
+    if not isinstance(model, BaseModel):
+        return ''
+    declared = type(model).model_fields[last].json_schema_extra
+    return str(declared['unit']) if isinstance(declared, dict) else ''
 
 
-def overrides_of(values: Mapping[str, Any], setup: Setup, field: str) -> dict[str, Any]:
-    """Return the values of parameters by section, later ones over earlier; see `paths_of`."""
+def nest_overrides(
+    values: Mapping[str, Any], setup: Setup, field: str
+) -> dict[str, Any]:
+    """
+    Return the values of parameters, by dotted name, nested by section, later ones over earlier.
+
+    Raises ConfigError of a parameter that the setup does not have; its name follows `field`.
+    """
     nested: dict[str, Any] = {}
     for name, value in values.items():
-        for place in paths_of(name, setup, field + name):
-            branch: Any = value
-            for part in reversed(place):
-                branch = {part: branch}
-            nested = merge(nested, branch)
+        for place in find_places(name, setup, field + name):
+            nested = merge(nested, _nest_value(value, place))
+    return nested
+
+
+def _nest_value(value: Any, place: Sequence[str]) -> dict[str, Any]:
+    """Return a mapping in which a value is at a place, and nothing else is."""
+    for key in reversed(place):
+        value = {key: value}
+    nested: dict[str, Any] = value
     return nested
 
 
 def node_configs() -> dict[str, type[Config]]:
-    """Return what only the node of each section knows; RosError where ROS cannot be loaded."""
+    """
+    Return the parameters that only the node of each section knows, as configurations.
+
+    Raises RosError where ROS cannot be loaded: nodes are declared where they run.
+    """
     from multicontact_control.nodes.controller_node import ControllerNodeConfig
     from multicontact_control.nodes.graph import StartupConfig
     from sim_bridge.sim_node import SimNodeConfig
@@ -182,65 +204,70 @@ def split_off_nodes(
 
     ConfigError if the node does not take one, or the run sets it.
     """
-    foreign = [name for name in values if _is_foreign(name, setup)]
-    configs = node_configs() if foreign else {}
-    of_setup = dict(values)
+    of_setup: dict[str, Any] = {}
     of_nodes: dict[str, dict[str, Any]] = {}
-    for name in foreign:
-        section, first, *inner = name.split('.')
-        if section not in configs or first not in configs[section].model_fields:
+    for name, value in values.items():
+        if not _is_of_node(name, setup):
+            of_setup[name] = value
             continue
-        if first in OF_THE_RUN:
-            raise ConfigError(f'--set {name}', hint=OF_THE_RUN[first])
-        branch: Any = of_setup.pop(name)
-        for part in reversed((section, first, *inner)):
-            branch = {part: branch}
-        of_nodes = merge(of_nodes, branch)
+        place = name.split('.')
+        if place[1] in SET_BY_RUN:
+            raise ConfigError(f'--set {name}', hint=SET_BY_RUN[place[1]])
+        of_nodes = merge(of_nodes, _nest_value(value, place))
     for section, nested in of_nodes.items():
-        validate(configs[section], nested, f'--set {section}')
+        validate(node_configs()[section], nested, f'--set {section}')
     return of_setup, of_nodes
 
 
-def _is_foreign(name: str, setup: Setup) -> bool:
-    """Return whether a dotted name is in a section of a setup that does not know it."""
+def _is_of_node(name: str, setup: Setup) -> bool:
+    """Return whether only the node of a section knows a dotted name; RosError without ROS."""
     section, *inner = name.split('.')
-    config = getattr(setup, section, None) if section in ARGUMENTS else None
-    return (
-        isinstance(config, BaseModel)
-        and bool(inner)
-        and (inner[0] != EVERY and inner[0] not in type(config).model_fields)
-    )
+    if section not in ARGUMENTS or not inner or inner[0] == EVERY:
+        return False
+    config = getattr(setup, section)
+    if not isinstance(config, BaseModel) or inner[0] in type(config).model_fields:
+        return False
+    of_node = node_configs().get(section)
+    return of_node is not None and inner[0] in of_node.model_fields
 
 
 def resolve_with(
-    resolver: Callable[..., T],
+    resolver: Callable[..., Setup],
     arguments: Mapping[str, Any],
     settings: Sequence[str],
     *,
     nodes: bool = False,
-) -> T:
+) -> Setup:
     """
-    Return what a function of `scenario` resolves, ``KEY=VALUE`` over its files; ConfigError.
+    Return what a function of `scenario` resolves, with ``KEY=VALUE`` settings over its files.
 
-    With `nodes` the values may be those that only a node of the graph knows, too.
+    Parameters
+    ----------
+    resolver
+        `resolve` or `resolve_external`.
+    arguments
+        Its arguments, by name.
+    settings
+        Texts as for `read_settings`.
+    nodes
+        Whether the settings may be those that only a node of the graph knows, too.
+
+    Raises
+    ------
+    ConfigError
+        With each value that is not acceptable, and each name that is not known.
+
     """
-    resolved = resolver(**arguments)
+    setup = resolver(**arguments)
     if not settings:
-        return resolved
-    setup: Any = getattr(resolved, 'setup', resolved)
+        return setup
     values = read_settings(settings)
     of_nodes: dict[str, dict[str, Any]] = {}
     if nodes:
         values, of_nodes = split_off_nodes(values, setup)
-    nested = overrides_of(values, setup, '--set ')
-    again: Any = resolver(
-        **{
-            **arguments,
-            **{ARGUMENTS[section]: laid_over for section, laid_over in nested.items()},
-        }
-    )
-    if isinstance(again, External):
-        again = again._replace(setup=replace(again.setup, nodes=of_nodes))
-    else:
-        again = replace(again, nodes=of_nodes)
-    return cast(T, again)
+    overridden = dict(arguments)
+    for section, nested in nest_overrides(values, setup, '--set ').items():
+        overridden[ARGUMENTS[section]] = nested
+    # The names above are those of the first setup; the values may lead to another one.
+    result = resolver(**overridden)
+    return replace(result, nodes=merge(result.nodes, of_nodes))

@@ -23,10 +23,15 @@ _RosDumper.add_implicit_resolver(
 
 
 def write_parameters(path: Path, nodes: Mapping[str, Any], head: str = '') -> None:
-    """Replace a ROS 2 parameter file by the values of nodes, by name, below comments `head`."""
-    content = {
-        name: {'ros__parameters': _ros_values(values)} for name, values in nodes.items()
-    }
+    """
+    Write, or replace, a ROS 2 parameter file.
+
+    `nodes` are the nested parameters of each node by its name, or pattern such as ``/**``. `head`
+    is text above them, each line of which is a comment.
+    """
+    content = {}
+    for name, values in nodes.items():
+        content[name] = {'ros__parameters': _ros_values(values)}
     replace_text_file(
         path, head + yaml.dump(content, Dumper=_RosDumper, sort_keys=False)
     )
@@ -35,9 +40,14 @@ def write_parameters(path: Path, nodes: Mapping[str, Any], head: str = '') -> No
 def _ros_values(value: Any) -> Any:
     """Return a value as rcl reads it: no empty mappings, and lists of numbers of one type."""
     if isinstance(value, Mapping):
-        kept = {name: _ros_values(entry) for name, entry in value.items()}
-        return {name: entry for name, entry in kept.items() if entry != {}}
+        kept = {}
+        for name, entry in value.items():
+            written = _ros_values(entry)
+            if written != {}:
+                kept[name] = written
+        return kept
     if isinstance(value, (list, tuple)):
-        real = any(isinstance(entry, float) for entry in value)
-        return [float(entry) if real else _ros_values(entry) for entry in value]
+        if any(isinstance(entry, float) for entry in value):
+            return [float(entry) for entry in value]
+        return [_ros_values(entry) for entry in value]
     return value

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import hashlib
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 import zipfile
 
 from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
@@ -19,14 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 SERIES_FILE = 'samples.npz'
-OF_STIFFNESS = ('stiffness', 'stiffness_est', 'stiffness_std', 'margin')
-# Which field of the messages of a topic a series is.
+SAMPLES = 'joint_states'
+COMMANDS = 'joint_effort_command'
+MEASURED = 'contact_forces/measured'
+OBEYED = 'controller_node/status'
+# The series that a topic has, and the field of its messages that each one is.
 SERIES: dict[str, dict[str, str]] = {
-    'joint_states': {'q': 'position', 'qd': 'velocity', 'effort': 'effort'},
+    SAMPLES: {'q': 'position', 'qd': 'velocity', 'effort': 'effort'},
     'ft_sensor/wrench': {'wrench': 'wrench'},
     'ft_sensor/wrench_filtered': {'wrench_filtered': 'wrench'},
-    'joint_effort_command': {'torque': 'effort'},
-    'contact_forces/measured': {'alpha_meas': 'effort'},
+    COMMANDS: {'torque': 'effort'},
+    MEASURED: {'alpha_meas': 'effort'},
     'contact_forces/estimated': {'alpha_est': 'effort', 'alpha_rate_est': 'velocity'},
     'contact_forces/desired': {'alpha_des': 'effort'},
     'contact_forces/innovation': {'innovation': 'effort'},
@@ -46,11 +49,6 @@ SERIES: dict[str, dict[str, str]] = {
 }
 # Published only where the stiffness is found on-line.
 OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
-SAMPLES, MEASURED, OBEYED = (
-    'joint_states',
-    'contact_forces/measured',
-    'controller_node/status',
-)
 TYPES = dict.fromkeys(SERIES, bag.JOINT_STATE) | {
     OBEYED: bag.STATUS,
     'ft_sensor/wrench': bag.WRENCH,
@@ -58,6 +56,16 @@ TYPES = dict.fromkeys(SERIES, bag.JOINT_STATE) | {
     'operational_point/pose': bag.POSE,
     'operational_point/pose_desired': bag.POSE,
 }
+# Columns of the series that have none for each contact, nor for each joint.
+WIDTHS = {
+    'wrench': 6,
+    'wrench_filtered': 6,
+    'position': 3,
+    'position_des': 3,
+    'quaternion': 4,
+    'quaternion_des': 4,
+}
+OF_JOINTS = ('q', 'qd', 'effort', 'torque')
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
 CUT_OFF = 'the recording is cut off'
 LONGEST_GAP = 0.1  # s without a sample, beyond which a recording lacks something
@@ -67,7 +75,12 @@ REACHED = 0.99  # share of a commanded force at which the contact counts as made
 
 @dataclass(frozen=True)
 class RunData:
-    """Every series of a run; row k belongs to sample k, NaN where a message is missing."""
+    """
+    Every series of a run; row k belongs to sample k, NaN where a message is missing.
+
+    There are m rows, one for each control period, n joints and r forces and couples of contacts.
+    Rows without a sample, as where a recording has a gap, are NaN throughout.
+    """
 
     rate: float  # samples per second [Hz]
     contact_names: tuple[str, ...]  # order of the r columns of contacts
@@ -84,9 +97,8 @@ class RunData:
     alpha_est: Matrix
     alpha_rate_est: Matrix  # [N/s]
     alpha_des: Matrix
-    noise_variance: (
-        Matrix  # R from the samples up to k, used at k + 1, shape (m, r) [N^2]
-    )
+    # R from the samples up to k, used at k + 1, shape (m, r) [N^2].
+    noise_variance: Matrix
     # alpha_meas minus what the observers predicted, 0 where no force is controlled [N].
     innovation: Matrix
     # Of the observers' models, found on-line and its standard error, shape (m, r) [N/m], and how
@@ -105,35 +117,42 @@ class RunData:
 
     @property
     def ticks(self) -> int:
-        """Return the number of samples."""
+        """Return the number of samples m, those that are missing in between included."""
         return int(self.time.shape[0])
 
     def recorded(self) -> Mask:
         """Return the samples of which anything was recorded, shape (m,)."""
         known = np.zeros(self.ticks, dtype=bool)
-        for name, values in vars(self).items():
-            # Times are made, and commands hold until the next one.
-            if isinstance(values, np.ndarray) and name not in ('time', 'command'):
+        for name, values in self._list_series().items():
+            # Times are computed, and a command holds until the next one.
+            if name not in ('time', 'command'):
                 known |= np.isfinite(values).any(axis=1)
         return known
 
     def trajectory_sha256(self) -> str:
-        """Return the hash of the commanded torques as little-endian float64, tick by tick."""
-        return hashlib.sha256(
-            np.ascontiguousarray(self.torque, dtype='<f8').tobytes()
-        ).hexdigest()
+        """
+        Return the hash of the commanded torques as little-endian float64, tick by tick.
+
+        Two runs have the same hash if all their torques are the same bit for bit.
+        """
+        torques = np.ascontiguousarray(self.torque, dtype='<f8')
+        return hashlib.sha256(torques.tobytes()).hexdigest()
 
     def part(self, begin: int, end: int) -> RunData:
         """Return the samples from one up to another; time begins with the first of them."""
-        series: dict[str, Any] = {
-            name: values[begin:end]
+        cut = {name: values[begin:end] for name, values in self._list_series().items()}
+        cut['time'] = self.time[: end - begin]
+        return replace(self, **cut)  # type: ignore[arg-type]
+
+    def _list_series(self) -> dict[str, Matrix]:
+        return {
+            name: values
             for name, values in vars(self).items()
             if isinstance(values, np.ndarray)
         }
-        return replace(self, **{**series, 'time': self.time[: end - begin]})
 
     def save(self, folder: Path) -> None:
-        """Write the series to ``samples.npz`` in a folder."""
+        """Write the series to ``samples.npz`` in a folder that exists; `load` reads them."""
         np.savez_compressed(folder / SERIES_FILE, **vars(self))
 
     @classmethod
@@ -142,61 +161,49 @@ class RunData:
         path = folder / SERIES_FILE
         try:
             with np.load(path, allow_pickle=False) as data:
-                values = {f.name: data[f.name] for f in fields(cls)}
+                values = {field.name: data[field.name] for field in fields(cls)}
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise RunError(
                 f'{path}: expected a recording of a run, got {error}'
             ) from None
-        return cls(
-            **{
-                **values,
-                'rate': float(values['rate']),
-                'contact_names': tuple(map(str, values['contact_names'])),
-                'joint_names': tuple(map(str, values['joint_names'])),
-            }
-        )
+        values['rate'] = float(values['rate'])
+        for name in ('contact_names', 'joint_names'):
+            values[name] = tuple(values[name].tolist())
+        return cls(**values)
 
 
 def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
-    """Return series of NaN to be filled in, with the time axis set."""
-    joints, contacts = controller.robot.joint_names, controller.column_names
-    columns = {
-        **dict.fromkeys(('q', 'qd', 'effort', 'torque'), len(joints)),
-        **dict.fromkeys(('wrench', 'wrench_filtered'), 6),
-        **dict.fromkeys(
-            (
-                'alpha_true',
-                'alpha_meas',
-                'alpha_est',
-                'alpha_rate_est',
-                'alpha_des',
-                'noise_variance',
-                'innovation',
-                *OF_STIFFNESS,
-                'command',
-            ),
-            len(contacts),
-        ),
-        **dict.fromkeys(('position', 'position_des'), 3),
-        **dict.fromkeys(('quaternion', 'quaternion_des'), 4),
-    }
+    """
+    Return series of NaN to be filled in, with the time axis set.
+
+    There are `ticks` rows; a series of joints has a column for each joint of the controller, one
+    of contacts for each of its forces and couples.
+    """
+    joints = controller.robot.joint_names
+    contacts = controller.column_names
+    widths = WIDTHS | dict.fromkeys(OF_JOINTS, len(joints))
+    series = {}
+    for field in fields(RunData):
+        if field.type == 'Matrix':
+            columns = widths.get(field.name, len(contacts))
+            series[field.name] = np.full((ticks, columns), np.nan)
     return RunData(
         rate=controller.rate,
         contact_names=contacts,
         joint_names=joints,
         time=np.arange(ticks) / controller.rate,
-        **{name: np.full((ticks, count), np.nan) for name, count in columns.items()},
+        **series,
     )
 
 
 class Missing(NamedTuple):
-    """A stretch of a run of which no sample was recorded."""
+    """A stretch of a run of which no sample was recorded, on the clock of `RunData.time`."""
 
     begin: float  # since the first sample that is there [s]; minus infinity: from an unknown one
     end: float  # s; infinite: to an unknown end
 
     def __str__(self) -> str:
-        """Return from when to when."""
+        """Return in words from when to when it lasts."""
         if math.isinf(self.begin):
             return 'before the first one that is there'
         if math.isinf(self.end):
@@ -204,16 +211,20 @@ class Missing(NamedTuple):
         return f'from {self.begin:.2f} to {self.end:.2f} s'
 
 
-def name_missing(missing: Sequence[Missing], what: str = 'samples') -> str:
+def describe_missing(missing: Sequence[Missing], what: str = 'samples') -> str:
     """Return in words from when to when something, by default the samples, is missing."""
-    text = ', '.join(map(str, missing[:GAPS_NAMED]))
+    text = ', '.join(str(each) for each in missing[:GAPS_NAMED])
     if len(missing) > GAPS_NAMED:
         text += f' and {len(missing) - GAPS_NAMED} times more'
     return f'no {what} {text}'
 
 
-def gaps_of(data: RunData) -> list[Missing]:
-    """Return the stretches between samples in which more than 0.1 s were not recorded."""
+def find_gaps(data: RunData) -> list[Missing]:
+    """
+    Return the stretches between samples in which more than 0.1 s were not recorded.
+
+    Shorter ones are late or lost messages, which every recording has.
+    """
     longest = LONGEST_GAP * data.rate
     return [
         Missing(begin / data.rate, end / data.rate)
@@ -224,7 +235,7 @@ def gaps_of(data: RunData) -> list[Missing]:
 
 @dataclass(frozen=True)
 class BagContent:
-    """A bag read back."""
+    """A bag read back: the series of the run, and what of the run is not in the bag."""
 
     data: RunData  # by sample stamp
     lacking: tuple[str, ...]  # topics of the controller that are not in the bag
@@ -234,7 +245,7 @@ class BagContent:
 
     @property
     def unanswered(self) -> int:
-        """Return the number of samples without a commanded torque."""
+        """Return the number of recorded samples that no commanded torque answers."""
         silent = np.isnan(self.data.torque).all(axis=1)
         return int((silent & self.data.recorded()).sum())
 
@@ -249,18 +260,36 @@ def read_bag(
     """
     Read a recording of the graph: a bag's folder, or its MCAP file, up to its last whole chunk.
 
-    `controller` gives rate, contacts and joints; `namespace` is that of the graph, by default the
-    only one; if `answered`, the samples before the first answer and behind the last are left out.
-    There is a row for each sample of ``joint_states``, or else of the topic with most messages.
-    Raises RunError if the bag cannot be read or holds no samples.
+    Parameters
+    ----------
+    path
+        Folder of the recording, or one MCAP file.
+    controller
+        Gives rate, contacts and joints.
+    namespace
+        Namespace of the graph; None for the only one that is recorded.
+    answered
+        Whether the samples before the first answer and behind the last one are left out, as they
+        are of a robot that was there before the controller.
+
+    Raises
+    ------
+    RunError
+        If the bag cannot be read or holds no samples.
+
     """
-    return content_of(path, read_graph(path, namespace), controller, answered=answered)
+    messages = read_graph(path, namespace)
+    return align_messages(path, messages, controller, answered=answered)
 
 
 def read_graph(path: Path, namespace: str | None = None) -> bag.BagMessages:
-    """Read the messages of a graph of this package; RunError if there are none."""
+    """
+    Read the messages of a graph of this package, of all topics that have a series.
+
+    `namespace` is that of the graph; None for the only one. Raises RunError if there are none.
+    """
     messages = bag.read_messages(path, TYPES, namespace)
-    if not any(topic in SERIES for topic in messages.by_topic):
+    if not SERIES.keys() & messages.by_topic.keys():
         raise RunError(
             f'{path}: expected samples on joint_states, or another topic of the '
             f'controller, got {messages}'
@@ -268,76 +297,118 @@ def read_graph(path: Path, namespace: str | None = None) -> bag.BagMessages:
     return messages
 
 
-def sample_topic(messages: bag.BagMessages) -> str:
-    """Return the topic that has a message for every sample."""
-    there = [topic for topic in SERIES if topic in messages.by_topic]
-    return (
-        SAMPLES
-        if SAMPLES in there
-        else max(there, key=lambda x: len(messages.by_topic[x]))
-    )
+def find_sample_topic(messages: bag.BagMessages) -> str:
+    """Return the topic that stands for the samples: joint states, or that of most messages."""
+    counts = {}
+    for topic in SERIES:
+        if topic in messages.by_topic:
+            counts[topic] = len(messages.by_topic[topic])
+    if SAMPLES in counts:
+        return SAMPLES
+    return max(counts, key=counts.__getitem__)
 
 
-def content_of(
+class _SampleClock(NamedTuple):
+    """The samples of a recording in the order of their stamps, each once, k of them."""
+
+    stamps: NDArray[np.int64]  # shape (k,) [ns]
+    rows: NDArray[
+        np.int64
+    ]  # of the series, at the control rate: ticks since the first sample
+    published: NDArray[np.uint64]  # when each was sent, shape (k,) [ns since the epoch]
+
+    @property
+    def ticks(self) -> int:
+        """Number of rows from the first sample to the last one, both included."""
+        return int(self.rows[-1]) + 1
+
+
+def _read_sample_clock(
+    path: Path, messages: bag.BagMessages, controller: ControllerConfig
+) -> _SampleClock:
+    """Return the clock that the samples' stamps are; RunError if they are none."""
+    topic = find_sample_topic(messages)
+    samples = messages.by_topic[topic]
+    # Of several samples with one stamp the newest counts.
+    stamps, newest = np.unique(samples.stamps[::-1], return_index=True)
+    since_first = (stamps - stamps[0]) * 1e-9
+    rows = np.rint(since_first * controller.rate).astype(np.int64)
+    clock = _SampleClock(stamps, rows, samples.published[::-1][newest])
+    too_sparse = clock.ticks > SPARSE * len(stamps) + controller.rate
+    repeated = 2 * len(stamps) < len(samples)
+    if too_sparse or repeated:
+        raise RunError(
+            f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, got '
+            f'{len(samples)} messages with {len(stamps)} stamps over '
+            f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s'
+        )
+    return clock
+
+
+def align_messages(
     path: Path,
     messages: bag.BagMessages,
     controller: ControllerConfig,
     *,
     answered: bool = False,
 ) -> BagContent:
-    """Return the series of the messages that `read_graph` found; see `read_bag`."""
-    topic = sample_topic(messages)
-    samples = messages.by_topic[topic]
-    stamps, newest = np.unique(samples.stamps[::-1], return_index=True)
-    ticks = np.rint((stamps - stamps[0]) * 1e-9 * controller.rate).astype(np.int64)
-    count = int(ticks[-1]) + 1
-    if count > SPARSE * len(stamps) + controller.rate or 2 * len(stamps) < len(samples):
-        raise RunError(
-            f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, got '
-            f'{len(samples)} messages with {len(stamps)} stamps over '
-            f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s'
-        )
-    data = empty_run_data(count, controller)
-    for name, columns in messages.by_topic.items():
-        names = (
-            ()
-            if TYPES[name] != bag.JOINT_STATE
-            else (data.joint_names if name.startswith('joint') else data.contact_names)
-        )
-        places = np.searchsorted(stamps, columns.stamps).clip(max=len(stamps) - 1)
-        known = stamps[places] == columns.stamps
-        for series, field in SERIES.get(name, {}).items():
-            getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[
-                known
-            ]
+    """
+    Return the messages that `read_graph` found as series with a row for each sample.
+
+    A message belongs to the sample whose stamp it has; what has no such stamp is left out.
+    Arguments and errors are those of `read_bag`.
+    """
+    clock = _read_sample_clock(path, messages, controller)
+    data = empty_run_data(clock.ticks, controller)
+    for topic, columns in messages.by_topic.items():
+        _fill_series(data, topic, columns, clock)
     data = replace(
-        data,
-        command=_commands(
-            data, messages.by_topic.get(OBEYED), samples.published[::-1][newest], ticks
-        ),
+        data, command=_commanded_forces(data, messages.by_topic.get(OBEYED), clock)
     )
-    begin, end = _answered(data) if answered else (0, count)
+    begin = 0
+    end = clock.ticks
+    if answered:
+        begin, end = _find_answered_part(data)
     part = data.part(begin, end)
+    lacking = SERIES.keys() - messages.by_topic.keys() - {*OPTIONAL}
     return BagContent(
         part,
-        tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
-        _remarks(messages, data),
-        int(stamps[0]) + round(begin / data.rate * 1e9),
-        _missing(messages, part),
+        lacking=tuple(topic for topic in SERIES if topic in lacking),
+        remarks=_collect_remarks(messages, data),
+        start=int(clock.stamps[0]) + round(begin / data.rate * 1e9),
+        missing=_missing_stretches(messages, part),
     )
 
 
-def _missing(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
+def _fill_series(
+    data: RunData, topic: str, columns: bag.BagColumns, clock: _SampleClock
+) -> None:
+    """Write the messages of a topic into the rows of the samples whose stamps they have."""
+    names: Sequence[str] = ()
+    if topic in (SAMPLES, COMMANDS):
+        names = data.joint_names
+    elif TYPES[topic] == bag.JOINT_STATE:
+        names = data.contact_names
+    places = np.searchsorted(clock.stamps, columns.stamps)
+    places = places.clip(max=len(clock.stamps) - 1)
+    known = clock.stamps[places] == columns.stamps
+    rows = clock.rows[places[known]]
+    for series, field in SERIES.get(topic, {}).items():
+        values = columns.values(field, names)
+        getattr(data, series)[rows] = values[known]
+
+
+def _missing_stretches(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
     """Return the stretches without samples, also before the first and after the last one."""
-    missing = gaps_of(data)
-    if messages.begin_lost:
+    missing = find_gaps(data)
+    if messages.loss.at_begin:
         missing.insert(0, Missing(-math.inf, 0.0))
-    if messages.end_lost:
+    if messages.loss.at_end:
         missing.append(Missing(data.ticks / data.rate, math.inf))
     return tuple(missing)
 
 
-def _answered(data: RunData) -> tuple[int, int]:
+def _find_answered_part(data: RunData) -> tuple[int, int]:
     """Return the first sample that was answered, and the one behind the last, if any was."""
     for series in (data.alpha_meas, data.torque):
         known = np.flatnonzero(np.isfinite(series).any(axis=1))
@@ -346,40 +417,54 @@ def _answered(data: RunData) -> tuple[int, int]:
     return 0, data.ticks
 
 
-def _commands(
-    data: RunData,
-    status: bag.BagColumns | None,
-    published: NDArray[np.uint64],
-    ticks: NDArray[np.int64],
+def _commanded_forces(
+    data: RunData, status: bag.BagColumns | None, clock: _SampleClock
 ) -> Matrix:
     """Return what `~/status` says is obeyed from contact on, else what the controller aims at."""
     command = data.alpha_des.copy()
     if status is None:
         return command
-    order = np.argsort(published)
-    places = np.searchsorted(published[order], status.published)
-    begins = np.append(ticks[order], data.ticks)[places]
-    for i, (name, forces) in enumerate(
-        zip(data.contact_names, status.values('effort', data.contact_names).T)
-    ):
-        desired, named = data.alpha_des[:, i], ~np.isnan(forces)
-        if not named.any() or name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
-            continue
-        begun = np.full(data.ticks + 1, np.nan)
-        begun[0] = 0.0
-        begun[begins[named]] = forces[named]
-        newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
-        asked = begun[np.maximum.accumulate(newest)][:-1]
-        for begin, end in find_true_stretches(asked > 0.0):
-            reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
-            if reached.size:
-                asked[begin : begin + reached[0]] = 0.0
-        command[:, i] = asked
+    # A status holds from the next sample on that is published; behind the last one is a row more.
+    order = np.argsort(clock.published)
+    places = np.searchsorted(clock.published[order], status.published)
+    begins = np.append(clock.rows[order], data.ticks)[places]
+    obeyed = status.values('effort', data.contact_names)
+    for column, name in enumerate(data.contact_names):
+        forces = obeyed[:, column]
+        named = ~np.isnan(forces)
+        is_couple = name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS]))
+        if named.any() and not is_couple:
+            command[:, column] = _force_from_contact_on(
+                data.alpha_des[:, column], begins[named], forces[named]
+            )
     return command
 
 
-def _remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
-    remarks = [*messages.unreadable, *messages.lost]
+def _force_from_contact_on(
+    desired: Vector, begins: NDArray[np.int64], forces: Vector
+) -> Vector:
+    """
+    Return the force that one contact was asked for, 0 until the contact is made, shape (m,) [N].
+
+    `desired` is what the controller aimed at, shape (m,) [N]; each of `forces` holds from the
+    row in `begins` on. The contact is made where the controller first aims at the whole force.
+    """
+    ticks = len(desired)
+    told = np.full(ticks + 1, np.nan)
+    told[0] = 0.0
+    told[begins] = forces
+    telling_rows = np.where(np.isnan(told), 0, np.arange(ticks + 1))
+    asked = told[np.maximum.accumulate(telling_rows)][:-1]
+    for begin, end in find_true_stretches(asked > 0.0):
+        reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
+        if reached.size:
+            asked[begin : begin + reached[0]] = 0.0
+    return asked
+
+
+def _collect_remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
+    """Return what could not be read, and which names did not fit, in words."""
+    remarks = [*messages.unreadable, *messages.loss.words]
     for topic, values, expected in (
         (SAMPLES, data.q, data.joint_names),
         (MEASURED, data.alpha_meas, data.contact_names),

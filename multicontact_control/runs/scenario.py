@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import reduce
 from pathlib import Path
 import shutil
 from typing import Any, NamedTuple
@@ -20,7 +19,7 @@ from multicontact_control.config import (
     read_yaml,
     validate,
 )
-from multicontact_control.config.base import EVERY_NODE, read_node_parameters
+from multicontact_control.config.base import ANY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, run_all_checks
@@ -33,16 +32,35 @@ from sim_bridge.robots import DEFAULT, find_robot, Robot
 import yaml
 
 EXTERNAL = 'external'  # in the place of a plant's name
-CONTROLLER, ESTIMATOR = PRESET_NODES = ('controller_node', 'noise_estimator_node')
+CONTROLLER = 'controller_node'
+ESTIMATOR = 'noise_estimator_node'
+PRESET_NODES = (CONTROLLER, ESTIMATOR)
+NODES = {  # which runs with a section of a setup
+    'controller': CONTROLLER,
+    'noise_estimator': ESTIMATOR,
+    'plant': 'sim_node',
+}
 COMMANDS = 'commands'  # in the place of a scenario's name
 NO_PLANT: Any = None  # in the place of the plant where the robot is the user's own
-SHORTEST, UNTIL_STOPPED = 1.0, 1e6  # s, of a run, and of one that Ctrl-C ends
-OF_THE_RUN = ('startup_peers', 'timing_file')
+SHORTEST = 1.0  # s, of a run
+UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
+OF_ANY_NODE = ('startup_peers', 'timing_file')  # each run sets its own
+REFUSED_OF_EXTERNAL = {  # parameters of the controller's node, and what to do instead
+    'reference_file': 'give --scenario',
+    'lockstep': 'set it to false',
+}
 NODES_FILE = 'nodes.yaml'  # of what only nodes know
+STAMP_TOLERANCE = 1e-9  # s
 
 
 class ScenarioConfig(Config):
-    """One experiment: what is commanded when, and what differs from the defaults."""
+    """
+    One experiment: what is commanded when, and what differs from the defaults.
+
+    It is a file of ``config/scenarios``, or one of the user's. The reference has the motion of the
+    operational point and the steps of the contact forces; the sections lay values over those of
+    controller, noise estimator and plant, for this experiment only.
+    """
 
     name: str = parameter(..., 'Name, as used in file names.', min_length=1)
     description: str = parameter('', 'What it shows.')
@@ -59,7 +77,12 @@ class ScenarioConfig(Config):
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything a run needs, resolved and checked."""
+    """
+    Everything a run needs, resolved and checked: files, presets and settings are laid over.
+
+    The three configurations fit each other: rate, names of the contacts, bounds of R. The URDF
+    exists.
+    """
 
     scenario: ScenarioConfig
     controller: ControllerConfig
@@ -74,11 +97,11 @@ class Setup:
 
     def node_parameters(self, section: str) -> dict[str, Any]:
         """Return what only the node of a section knows, by dotted names."""
-        return dotted(self.nodes.get(section, {}))
+        return flatten_parameters(self.nodes.get(section, {}))
 
     @property
     def simulated(self) -> bool:
-        """Whether the plant is one of this package."""
+        """Whether the plant is one of this package, and not the user's own robot."""
         return self.plant is not NO_PLANT
 
     @property
@@ -86,64 +109,71 @@ class Setup:
         """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
 
-    def commanded_over_topics(self) -> Setup:
-        """Return the same arm and surfaces, for commands instead of the scenario's."""
+    @property
+    def endless(self) -> bool:
+        """Whether the run lasts until a signal ends it."""
+        return self.scenario.duration == UNTIL_STOPPED
+
+    def commanded_over_topics(self, duration: float = UNTIL_STOPPED) -> Setup:
+        """
+        Return the same arm and surfaces, for forces and motions commanded over topics.
+
+        The run then has another `duration` [s]. The reference of the scenario stays in the setup,
+        but is not played.
+        """
         scenario = self.scenario.model_copy(
-            update={'name': COMMANDS, 'description': ''}
+            update={'name': COMMANDS, 'description': '', 'duration': duration}
         )
         return replace(self, scenario=scenario, commanded_by_topic=True)
 
     def reference(self) -> ScenarioTask:
-        """Return the scenario's reference, at its start."""
-        return ScenarioTask.of(self.scenario.reference, self.controller)
+        """Return a new task that plays the scenario's reference, at its start; ConfigError."""
+        return ScenarioTask.for_controller(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
-        steps = [step.time for step in self.scenario.reference.force_steps]
-        commanded: Matrix = self.reference().forces[
-            np.searchsorted(steps, time + 1e-9, side='right')
-        ]
+        step_times = [step.time for step in self.scenario.reference.force_steps]
+        steps_taken = np.searchsorted(step_times, time + STAMP_TOLERANCE, side='right')
+        commanded: Matrix = self.reference().forces[steps_taken]
         return commanded
 
     def write(self, folder: Path) -> dict[str, Path]:
         """
         Write the exact configuration into a folder, and return the file of each node.
 
-        What only nodes know, as far as it was set, is in a file of its own.
+        The folder alone then repeats the run: it has the URDF and the scenario, too. What only
+        nodes know, as far as it was set, is in a file of its own, ``nodes.yaml``.
         """
         folder.mkdir(parents=True, exist_ok=True)
         urdf = Path(self.controller.robot.urdf)
         shutil.copyfile(self.urdf_dir / urdf, folder / urdf.name)
         robot = self.controller.robot.model_copy(update={'urdf': urdf.name})
-        nodes: dict[str, tuple[str, Config]] = {
-            'controller_node': (
-                'controller.yaml',
-                self.controller.model_copy(update={'robot': robot}),
-            ),
-            'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator),
+        configs: dict[str, Config] = {
+            'controller': self.controller.model_copy(update={'robot': robot}),
+            'noise_estimator': self.noise_estimator,
         }
         if self.simulated:
-            nodes['sim_node'] = ('plant.yaml', self.plant)
-        for node, (name, config) in nodes.items():
-            write_parameters(
-                folder / name, {f'/**/{node}': config.model_dump(mode='json')}
-            )
-        of_nodes = {
-            f'/**/{node}': self.nodes[Path(name).stem]
-            for node, (name, _) in nodes.items()
-            if self.nodes.get(Path(name).stem)
-        }
+            configs['plant'] = self.plant
+        files = {}
+        of_nodes = {}
+        for section, config in configs.items():
+            node = NODES[section]
+            key = f'/**/{node}'
+            files[node] = folder / f'{section}.yaml'
+            write_parameters(files[node], {key: config.model_dump(mode='json')})
+            if self.nodes.get(section):
+                of_nodes[key] = self.nodes[section]
         if of_nodes:
             write_parameters(folder / NODES_FILE, of_nodes)
-        for name, config in (
-            ('reference.yaml', self.scenario.reference),
-            ('scenario.yaml', self.scenario),
-        ):
-            replace_text_file(
-                folder / name,
-                yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False),
-            )
-        return {node: folder / name for node, (name, _) in nodes.items()}
+        _write_config(folder / 'reference.yaml', self.scenario.reference)
+        _write_config(folder / 'scenario.yaml', self.scenario)
+        return files
+
+
+def _write_config(path: Path, config: Config) -> None:
+    replace_text_file(
+        path, yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False)
+    )
 
 
 def scenario_with(
@@ -152,7 +182,12 @@ def scenario_with(
     duration: float | None,
     path: Path,
 ) -> ScenarioConfig:
-    """Return the scenario of a file with values, and a length [s], laid over those in it."""
+    """
+    Return a scenario with values laid over those of its file.
+
+    `values` are those of the file at `path`, `overrides` the values laid over them, `duration` a
+    length [s] laid over both. Raises ConfigError if the length is given twice or out of range.
+    """
     if duration is not None:
         if 'duration' in overrides:
             raise ConfigError(
@@ -167,7 +202,7 @@ def scenario_with(
 
 
 class PlantSource(NamedTuple):
-    """A robot, and the way to simulate it."""
+    """A robot, and the way to simulate it: one of the plants in its file, or a file."""
 
     robot: Robot
     name: str  # the plant alone for the default robot, ROBOT/PLANT for others
@@ -182,29 +217,41 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
     The name is ``PLANT``, ``ROBOT/PLANT``, the path of a parameter file, or empty for the robot's
     default; the robot is a name, a path, or empty for that in the plant's name, or the default.
     """
-    chosen = find_robot(robot or DEFAULT)
-    if plant := chosen.plant_name(name):
+    if robot:
+        chosen = find_robot(robot)
+    else:
+        chosen = find_robot()
+    plant = chosen.plant_name(name)
+    if plant:
         title = plant if chosen.name == DEFAULT else f'{chosen.name}/{plant}'
         return PlantSource(chosen, title, plant)
-    if Path(name).is_file():
-        named = read_parameters(Path(name)).get('robot', '')
-        return PlantSource(find_robot(robot or named or DEFAULT), name, '', Path(name))
-    first, slash, last = name.rpartition('/')
+    path = Path(name)
+    if path.is_file():
+        if not robot:
+            chosen = find_robot(read_parameters(path).get('robot', DEFAULT))
+        return PlantSource(chosen, name, '', path)
+    robot_in_name, slash, plant_in_name = name.rpartition('/')
     if slash and not robot:
-        return plant_source(last, first)
+        return plant_source(plant_in_name, robot_in_name)
     raise ConfigError(
         'plant', f'one of {", ".join(chosen.file.plants)}, or a path', f"'{name}'"
     )
 
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
-    """Return what a preset of config/presets, or a file, lays over controller and estimator."""
-    by_node = (
-        read_node_parameters(find_named_file('preset', 'presets', name), PRESET_NODES)
-        if name
-        else {}
-    )
-    return {node.removesuffix('_node'): by_node.get(node, {}) for node in PRESET_NODES}
+    """
+    Return what a preset of config/presets, or a file, lays over controller and estimator.
+
+    It has a mapping for each of the two, which is empty if the preset does not change it.
+    """
+    by_node: dict[str, dict[str, Any]] = {}
+    if name:
+        file = find_named_file('preset', 'presets', name)
+        by_node = read_node_parameters(file, PRESET_NODES)
+    return {
+        'controller': by_node.get(CONTROLLER, {}),
+        'noise_estimator': by_node.get(ESTIMATOR, {}),
+    }
 
 
 def resolve(
@@ -223,69 +270,86 @@ def resolve(
     """
     Read and check everything a run needs.
 
-    `scenario` and `preset`, of controller and estimator, are names or paths, `plant` and `robot`
-    are as for `plant_source`, `seed` is that of the plant's noise and roughness, `duration` the
-    length instead of the scenario's [s]. `scenario_overrides` are laid over the scenario's file,
-    the others over all values. Raises ConfigError with every value that is not acceptable.
+    Values are laid over each other in the order: files of the robot, preset, what the controller
+    knows of the plant, scenario, and the overrides.
+
+    Parameters
+    ----------
+    scenario, preset
+        Names in config/scenarios and config/presets, or paths; an empty preset changes nothing.
+    plant, robot
+        As for `plant_source`.
+    seed
+        Seed of the plant's noise and roughness, a whole number >= 0.
+    duration
+        Length of the run instead of the scenario's own [s].
+    noise_estimator, controller, plant_overrides
+        Nested values laid over all others of the section.
+    scenario_overrides
+        Nested values laid over the scenario's file.
+
+    Raises
+    ------
+    ConfigError
+        With every value that is not acceptable.
+
     """
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
-    path, source = (
-        find_named_file('scenario', 'scenarios', scenario),
-        plant_source(plant, robot),
-    )
+    path = find_named_file('scenario', 'scenarios', scenario)
+    source = plant_source(plant, robot)
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
     laid_over = preset_values(preset)
-    contacts = merge(config.controller, controller or {}).get('contact_names', ())
-    # The estimator has the controller's bounds of R, as it has its contacts.
-    bounds = merged(laid_over['controller'], config.controller, controller).get(
-        'noise_variance', {}
-    )
-    special = source.robot.controller_special(source.plant) if source.plant else {}
-    controller_config, estimator_config, plant_config = run_all_checks(
-        lambda: validate(
-            ControllerConfig,
-            merged(
-                source.robot.controller_base(contacts),
-                laid_over['controller'],
-                special,
-                config.controller,
-                controller,
-            ),
-            'controller.yaml',
-        ),
-        lambda: validate(
-            NoiseEstimatorConfig,
-            merged(
-                read_parameters(find_config_folder() / 'noise_estimator.yaml'),
-                {
-                    'contact_names': source.robot.controller_base()['contact_names'],
-                    'noise_variance': bounds,
-                },
-                laid_over['noise_estimator'],
-                config.noise_estimator,
-                noise_estimator,
-            ),
-            'noise_estimator.yaml',
-        ),
-        lambda: validate(
-            PlantConfig,
-            merged(
-                {'torque_limit': source.robot.arm.torque_limit},
-                source.robot.plant_values(source.plant, contacts)
-                if source.file is None
-                else {'robot': source.robot.name, **read_parameters(source.file)},
-                config.plant,
-                plant_overrides,
-            ),
-            f'plant {source.name}' if source.file is None else source.file.name,
-        ),
-    )
+    over_preset = merge_layers(config.controller, controller)
+    contacts = over_preset.get('contact_names', ())
+
+    def controller_config() -> ControllerConfig:
+        of_plant: dict[str, Any] = {}
+        if source.plant:
+            of_plant = source.robot.controller_special(source.plant)
+        values = merge_layers(
+            source.robot.controller_base(contacts),
+            laid_over['controller'],
+            of_plant,
+            over_preset,
+        )
+        return validate(ControllerConfig, values, 'controller.yaml')
+
+    def estimator_config() -> NoiseEstimatorConfig:
+        # The estimator has the controller's contacts, and its bounds of R.
+        of_controller = merge(laid_over['controller'], over_preset)
+        return _estimator_config(
+            {
+                'contact_names': source.robot.controller_base()['contact_names'],
+                'noise_variance': of_controller.get('noise_variance', {}),
+            },
+            laid_over['noise_estimator'],
+            config.noise_estimator,
+            noise_estimator,
+        )
+
+    def plant_config() -> PlantConfig:
+        if source.file is None:
+            name = f'plant {source.name}'
+            of_plant = source.robot.plant_values(source.plant, contacts)
+        else:
+            name = source.file.name
+            of_plant = {'robot': source.robot.name, **read_parameters(source.file)}
+        values = merge_layers(
+            {'torque_limit': source.robot.arm.torque_limit},
+            of_plant,
+            config.plant,
+            plant_overrides,
+        )
+        return validate(PlantConfig, values, name)
+
+    checked = run_all_checks(controller_config, estimator_config, plant_config)
+    controller_checked, estimator_checked, plant_checked = checked
     setup = Setup(
-        scenario=config,
-        controller=controller_config,
-        noise_estimator=estimator_config,
-        plant=plant_config,
+        config,
+        controller_checked,
+        estimator_checked,
+        plant_checked,
         plant_name=source.name,
         seed=seed,
         urdf_dir=source.robot.urdf_dir(),
@@ -297,13 +361,33 @@ def resolve(
     return setup
 
 
-def merged(*layers: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return nested values, each layer laid over those before."""
-    return reduce(merge, (layer or {} for layer in layers), {})
+def _estimator_config(*layers: Mapping[str, Any] | None) -> NoiseEstimatorConfig:
+    """Return the noise estimator with layers of values over its own file; ConfigError."""
+    name = 'noise_estimator.yaml'
+    values = merge_layers(read_parameters(find_config_folder() / name), *layers)
+    return validate(NoiseEstimatorConfig, values, name)
+
+
+def merge_layers(*layers: Mapping[str, Any] | None) -> dict[str, Any]:
+    """
+    Return nested values, each layer laid over those before; None is an empty layer.
+
+    Mappings are merged key by key; any other value, a list too, replaces the one below.
+    """
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        if layer is not None:
+            merged = merge(merged, layer)
+    return merged
 
 
 def check_together(setup: Setup, path: Path) -> None:
-    """Check that estimator, plant and scenario, of a file, fit the controller; ConfigError."""
+    """
+    Check that estimator, plant and scenario fit the controller; ConfigError.
+
+    Names of contacts, rate and bounds of R are to be the same, and the forces of the scenario, of
+    the file at `path`, are to be those that its contacts can hold.
+    """
     names = setup.controller.column_names
     contacts = [('noise_estimator.contact_names', setup.noise_estimator.contact_names)]
     if setup.simulated:
@@ -321,24 +405,28 @@ def check_together(setup: Setup, path: Path) -> None:
             f"the controller's {setup.controller.rate:g} Hz",
             f'{setup.noise_estimator.rate:g} Hz',
         )
-    bounds, expected = (
-        setup.noise_estimator.noise_variance,
-        setup.controller.noise_variance,
-    )
+    bounds = setup.noise_estimator.noise_variance
+    expected = setup.controller.noise_variance
     if bounds != expected:
         raise ConfigError(
             'noise_estimator.noise_variance',
             f"the controller's {expected.smallest:g} to {expected.largest:g} N^2",
             f'{bounds.smallest:g} to {bounds.largest:g} N^2',
         )
+    _check_force_steps(setup, path)
+    try:
+        setup.reference()
+    except ConfigError as error:
+        raise error.as_config_error(source=str(path)) from None
+
+
+def _check_force_steps(setup: Setup, path: Path) -> None:
+    """Check that contacts can hold the forces that a scenario's steps ask for; ConfigError."""
     state = setup.controller.contact_state
     for index, step in enumerate(setup.scenario.reference.force_steps):
         for name, force in step.forces.items():
-            if (
-                name in setup.controller.contact_names
-                and force != 0.0
-                and not (state.smallest_force <= force < state.force_ceiling)
-            ):
+            presses = name in setup.controller.contact_names and force != 0.0
+            if presses and not state.smallest_force <= force < state.force_ceiling:
                 raise ConfigError(
                     f'reference.force_steps.{index}.forces.{name}',
                     f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '
@@ -346,20 +434,20 @@ def check_together(setup: Setup, path: Path) -> None:
                     f'{force:g} N',
                     str(path),
                 )
-    try:
-        setup.reference()
-    except ConfigError as error:
-        raise error.moved(source=str(path)) from None
 
 
-class ControllerFiles(NamedTuple):
-    """What a user's parameter files say of controller and noise estimator."""
+class ControllerSections(NamedTuple):
+    """
+    What a user's parameter files say of controller and noise estimator, not yet checked.
+
+    Several files are laid over each other already.
+    """
 
     controller: dict[str, Any]
     node: dict[str, Any]  # of the controller's node, and not of the controller in it
     estimator: dict[str, Any]
     urdf_dir: Path  # that a relative URDF is relative to
-    source: str
+    source: str  # names of the files, for errors
 
     def config(self, overrides: Mapping[str, Any] | None = None) -> ControllerConfig:
         """Return the controller's configuration; ConfigError if it is not acceptable."""
@@ -368,7 +456,7 @@ class ControllerFiles(NamedTuple):
         )
 
 
-def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
+def read_controller_files(files: Sequence[Path]) -> ControllerSections:
     """
     Read the parameter files of a controller, each laid over those before.
 
@@ -380,43 +468,41 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
         raise ConfigError(
             '--controller', 'the parameter file of your controller', 'none'
         )
-    own = ControllerConfig.model_fields.keys()
-    of_estimator = NoiseEstimatorConfig.model_fields.keys() - own
+    of_controller = ControllerConfig.model_fields.keys()
+    # What both know, the rate and the contacts, the estimator gets from the controller's.
+    of_estimator = NoiseEstimatorConfig.model_fields.keys() - of_controller
     given: dict[str, Any] = {}
     estimator: dict[str, Any] = {}
     urdf_dir = Path()
     for path in files:
-        sections = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
-        # What both know, the rate and the contacts, the estimator gets from the controller's.
-        shared = sections.get(EVERY_NODE, {})
-        section = merged(
-            {name: value for name, value in shared.items() if name not in of_estimator},
-            sections.get(CONTROLLER),
+        sections = read_node_parameters(path, (ANY_NODE, *PRESET_NODES))
+        for_estimator, for_controller = _split_values(
+            sections.get(ANY_NODE, {}), of_estimator
         )
+        section = merge_layers(for_controller, sections.get(CONTROLLER))
         given = merge(given, section)
-        estimator = merged(
-            estimator,
-            {name: value for name, value in shared.items() if name in of_estimator},
-            sections.get(ESTIMATOR),
-        )
+        estimator = merge_layers(estimator, for_estimator, sections.get(ESTIMATOR))
         robot = section.get('robot')
         if isinstance(robot, Mapping) and 'urdf' in robot:
             urdf_dir = path.resolve().parent
-    return ControllerFiles(
-        {name: value for name, value in given.items() if name in own},
-        {name: value for name, value in given.items() if name not in own},
-        estimator,
-        urdf_dir,
-        ', '.join(map(str, files)),
+    controller, node = _split_values(given, of_controller)
+    return ControllerSections(
+        controller, node, estimator, urdf_dir, ', '.join(map(str, files))
     )
 
 
-class External(NamedTuple):
-    """Everything a run needs on the user's own robot."""
-
-    setup: Setup
-    node: dict[str, Any]  # parameters of the controller's node
-    duration: float | None  # s; None until it is stopped
+def _split_values(
+    values: Mapping[str, Any], names: Set[str]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the values that have one of some names, and all others."""
+    named: dict[str, Any] = {}
+    others: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in names:
+            named[name] = value
+        else:
+            others[name] = value
+    return named, others
 
 
 def resolve_external(
@@ -428,17 +514,19 @@ def resolve_external(
     noise_estimator: dict[str, Any] | None = None,
     controller: dict[str, Any] | None = None,
     scenario_overrides: dict[str, Any] | None = None,
-) -> External:
+) -> Setup:
     """
     Read and check everything for a run on the user's own robot; ConfigError.
 
-    Parameter `files` are those of the controller; the noise estimator has its contacts, its rate
-    and its bounds of R.
-    Without a `scenario` it obeys the command topics; `duration` is the length of the run [s], by
-    default that of the scenario. The other arguments are as for `resolve`.
+    `files` are the parameter files of the controller; the noise estimator has its contacts, its
+    rate and its bounds of R. Without a `scenario` the controller obeys the command topics;
+    `duration` is the length of the run [s], by default that of the scenario. The other arguments
+    are as for `resolve`.
     """
-    read, laid_over = read_controller_files(files), preset_values(preset)
-    path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}
+    read = read_controller_files(files)
+    laid_over = preset_values(preset)
+    path = Path(COMMANDS)
+    values: dict[str, Any] = {'name': COMMANDS, 'duration': UNTIL_STOPPED}
     if scenario is not None:
         path = find_named_file('scenario', 'scenarios', scenario)
         values = read_yaml(path)
@@ -449,24 +537,28 @@ def resolve_external(
         )
     config = scenario_with(values, scenario_overrides or {}, duration, path)
     controller_config = read.config(
-        merged(laid_over['controller'], config.controller, controller)
+        merge_layers(laid_over['controller'], config.controller, controller)
     )
-    estimator_config = validate(
-        NoiseEstimatorConfig,
-        merged(
-            read_parameters(find_config_folder() / 'noise_estimator.yaml'),
-            {
-                'contact_names': list(controller_config.column_names),
-                'rate': controller_config.rate,
-                'noise_variance': controller_config.noise_variance.model_dump(),
-            },
-            read.estimator,
-            laid_over['noise_estimator'],
-            config.noise_estimator,
-            noise_estimator,
-        ),
-        'noise_estimator.yaml',
+    estimator_config = _estimator_config(
+        {
+            'contact_names': list(controller_config.column_names),
+            'rate': controller_config.rate,
+            'noise_variance': controller_config.noise_variance.model_dump(),
+        },
+        read.estimator,
+        laid_over['noise_estimator'],
+        config.noise_estimator,
+        noise_estimator,
     )
+    for name, instead in REFUSED_OF_EXTERNAL.items():
+        if read.node.get(name):
+            raise ConfigError(
+                name,
+                got=read.node[name],
+                source=read.source,
+                hint=f'{instead} in an external run',
+            )
+    _, node = _split_values(read.node, {*OF_ANY_NODE, *REFUSED_OF_EXTERNAL})
     setup = Setup(
         scenario=config,
         controller=controller_config,
@@ -476,35 +568,23 @@ def resolve_external(
         seed=0,
         urdf_dir=read.urdf_dir,
         commanded_by_topic=scenario is None,
+        nodes={'controller': node} if node else {},
     )
     check_together(setup, path)
     RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
-    for name, instead in (
-        ('reference_file', 'give --scenario'),
-        ('lockstep', 'set it to false'),
-    ):
-        if read.node.get(name):
-            raise ConfigError(
-                name,
-                got=read.node[name],
-                source=read.source,
-                hint=f'{instead} in an external run',
-            )
-    node = {
-        name: value
-        for name, value in read.node.items()
-        if name not in (*OF_THE_RUN, 'reference_file', 'lockstep')
-    }
-    return External(setup, node, duration if scenario is None else config.duration)
+    return setup
 
 
-def dotted(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
-    """Return nested parameters by their dotted names."""
+def flatten_parameters(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
+    """
+    Return nested parameters by their dotted names, which begin with `start`.
+
+    {'force': {'law': 'pi'}} becomes {'force.law': 'pi'}. Lists stay values.
+    """
     leaves: dict[str, Any] = {}
     for name, value in values.items():
-        leaves |= (
-            dotted(value, f'{start}{name}.')
-            if isinstance(value, Mapping)
-            else {start + name: value}
-        )
+        if isinstance(value, Mapping):
+            leaves |= flatten_parameters(value, f'{start}{name}.')
+        else:
+            leaves[start + name] = value
     return leaves

@@ -29,24 +29,20 @@ MAX_REST_FORCE = 1.0  # N read with nothing touching the tool
 MAX_ANGLE = 0.35  # rad between a push and its reading; a hand is good for 0.2
 SCALE_TOLERANCE = 0.2  # of a force that is read
 LEVER_TOLERANCE = 0.05  # m, of the point of the pushes; a hand is good for 0.03
-MIN_LEVER = (
-    0.08  # m from the sensor to the tip of a tool, from which moments tell of any point
-)
+MIN_LEVER = 0.08  # m, from the sensor to the tip; moments of less locate no point
 NEAR_TIP = 0.25  # of that lever, beyond which the tool is pushed
 
-# What a user is told: of a test that is over, and without any.
-PASSED, FAILED, CANCELLED = (
-    'push test passed',
-    'push test failed',
-    'push test cancelled',
-)
+# What a user is told of a test that is over, and before one.
+PASSED = 'push test passed'
+FAILED = 'push test failed'
+CANCELLED = 'push test cancelled'
 DISABLED = 'force control is disabled until ~/push_test has passed'
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
 
 class PushTestConfig(Config):
-    """How the tool is pushed."""
+    """How the tool is pushed: along which world axes, how hard, and how long the test waits."""
 
     directions: tuple[Direction, ...] = parameter(
         ('+x', '+y', '+z'),
@@ -73,32 +69,27 @@ class PushTestConfig(Config):
     @property
     def directions_world(self) -> Matrix:
         """Return the unit vectors of the pushes, world axes, shape (p, 3)."""
-        return np.array(
-            [
-                (1.0 if sign == '+' else -1.0) * np.eye(3)['xyz'.index(axis)]
-                for sign, axis in self.directions
-            ]
-        )
+        signs = {'+': 1.0, '-': -1.0}
+        axes = dict(zip('xyz', np.eye(3)))
+        return np.array([signs[sign] * axes[axis] for sign, axis in self.directions])
 
 
 class PushTestResult(NamedTuple):
-    """The verdict on a sensor: what is wrong or not checked, in words, and its scale."""
+    """The verdict on a sensor."""
 
-    findings: tuple[str, ...]
-    scale: float = math.nan
-    unchecked: str = ''
-    judged: bool = (
-        True  # whether the pushes were all felt, so that it is about the sensor
-    )
+    findings: tuple[str, ...]  # its defects, in words; none if it has passed
+    scale: float = math.nan  # force that is read over the force of the pushes
+    unchecked: str = ''  # what the pushes could not show, in words
+    judged: bool = True  # whether all pushes were felt, so that it is about the sensor
 
     @property
     def passed(self) -> bool:
-        """Whether force control may be enabled."""
+        """Whether the sensor has no defect, so that force control may be enabled."""
         return not self.findings
 
     @property
     def message(self) -> str:
-        """Return the verdict in one line."""
+        """The verdict in one line, for a user."""
         if self.passed:
             right = self.unchecked or 'moments right'
             return f'{PASSED}: sign and frame right, scale {self.scale:.2f}, {right}'
@@ -130,44 +121,53 @@ class PushGate:
     """
 
     def __init__(self, *, required: bool, gravity_world: Vector, rate: float) -> None:
-        self.open, self.phase = not required, ''
-        self._open_before = (
-            self.open
-        )  # before the tests since the last verdict on the sensor
+        self.open = not required
+        self.phase = ''
         self.result: PushTestResult | None = None
-        self._gravity, self._rate = gravity_world, rate
+        # Whether force control was allowed before the tests since the last verdict on the sensor.
+        self._open_before = self.open
+        self._gravity = gravity_world
+        self._rate = rate
+        self._samples: list[Vector] = []  # of the phase
 
     @property
     def running(self) -> bool:
-        """Whether a test is under way."""
+        """Whether a test is under way, for which samples are to come to `take_sample`."""
         return self.phase != ''
 
     @property
     def instruction(self) -> str:
-        """Return what the user should do now; empty if there is nothing to be done."""
+        """What the user should do now; empty if there is nothing to be done."""
         if self.phase == 'push':
+            direction = self._config.directions[len(self._pushes)]
             return (
-                f'push the tool near its tip along world '
-                f'{self._config.directions[len(self._pushes)]} with '
+                f'push the tool near its tip along world {direction} with '
                 f'{self._config.force:g} N and hold'
             )
-        if self.running:
-            return (
-                'let go of the tool' if self.phase == 'release' else 'keep off the tool'
-            )
-        if self.result is not None:
-            again = '; repeat it, or cancel it' if self._may_cancel else ''
-            return self.result.message + again
-        return '' if self.open else DISABLED
+        if self.phase == 'release':
+            return 'let go of the tool'
+        if self.phase == 'rest':
+            return 'keep off the tool'
+        if self.result is None:
+            return '' if self.open else DISABLED
+        if self._may_cancel:
+            return f'{self.result.message}; repeat it, or cancel it'
+        return self.result.message
 
     def start_test(
         self, config: PushTestConfig, contacts: Mapping[str, Vector]
     ) -> None:
-        """Begin a test of a tool with tips at `contacts`, operational frame, shape (3,) [m]."""
-        self._config, self._contacts = config, contacts
+        """
+        Begin a test of a tool, with the next sample.
+
+        `contacts` are the tips of the tool by name, operational frame, shape (3,) [m].
+        """
+        self._config = config
+        self._contacts = contacts
         if not self._may_cancel:
             self._open_before = self.open
-        self.result, self.phase = None, 'rest'
+        self.result = None
+        self.phase = 'rest'
         self.restart_test()
 
     @property
@@ -182,27 +182,44 @@ class PushGate:
         """
         if not self._may_cancel:
             raise CommandError('push test', hint='none is under way')
-        self.open, self.result, self.phase = self._open_before, None, ''
+        self.open = self._open_before
+        self.result = None
+        self.phase = ''
 
     def restart_test(self) -> None:
         """Begin a test that is under way anew, with the next sample."""
         if self.running:
-            self._rest, self._pushes = np.zeros(6), list[Vector]()
-            self._enter('rest')
+            self._rest = np.zeros(6)
+            self._pushes: list[Vector] = []
+            self._enter_phase('rest')
 
     def fail_test(self, finding: str) -> None:
-        """End a test that is under way, because of what has nothing to do with the pushes."""
+        """End a test that is under way without a verdict on the sensor, with this finding."""
         self._finish(PushTestResult((finding,), judged=False))
 
-    def add_fit_sample(
+    def take_sample(
         self, frame: Frame, wrench_sensor: Vector, tool: ToolConfig
     ) -> bool:
         """
-        Take the next sample of a test that is under way; return whether it has come to its end.
+        Take the next sample of a test that is under way.
 
-        A record of `FRAME`, and the reading in sensor axes, force first, shape (6,) [N, N m].
+        Parameters
+        ----------
+        frame
+            Record of `FRAME` of the sample.
+        wrench_sensor
+            Reading in sensor axes, force first, shape (6,) [N, N m].
+        tool
+            What hangs on the sensor, whose weight is no part of a push.
+
+        Returns
+        -------
+        bool
+            Whether the test has come to its end, and `result` is set.
+
         """
-        origin, rotation = frame['sensor_position'], frame['sensor_rotation']
+        origin = frame['sensor_position']
+        rotation = frame['sensor_rotation']
         wrench = contact_wrench(
             wrench_sensor, (origin, rotation), origin, tool, self._gravity
         )
@@ -210,62 +227,57 @@ class PushGate:
         if not np.isfinite(wrench).all():
             self._finish(PushTestResult(('a reading that is not a finite number',)))
         elif self._ticks > max(1, round(self._config.timeout * self._rate)):
-            self._finish(
-                PushTestResult(
-                    (
-                        f'the force did not follow within {self._config.timeout:g} s: '
-                        f'{self.instruction}',
-                    ),
-                    judged=False,
-                )
+            self.fail_test(
+                f'the force did not follow within {self._config.timeout:g} s: '
+                f'{self.instruction}'
             )
-        elif self._take(wrench):
-            point = frame['position'] - origin
-            tips = {'the operational point': point} | {
-                f'contact {name}': point + frame['rotation'] @ contact
-                for name, contact in self._contacts.items()
-            }
-            self._finish(
-                judge_pushes(
-                    np.array(self._pushes), self._rest, self._config, rotation, tips
+        elif self._advance_phase(wrench):
+            operational_point = frame['position'] - origin
+            tips = {'the operational point': operational_point}
+            for name, contact in self._contacts.items():
+                tips[f'contact {name}'] = (
+                    operational_point + frame['rotation'] @ contact
                 )
-            )
+            pushes = np.array(self._pushes)
+            self._finish(judge_pushes(pushes, self._rest, self._config, rotation, tips))
         return not self.running
 
-    def _take(self, wrench: Vector) -> bool:
-        """Take a sample, and go on to the next phase after enough; return whether all is done."""
+    def _advance_phase(self, wrench: Vector) -> bool:
+        """Average the phase's wrenches, and enter the next; return whether all pushes are felt."""
         change = float(np.linalg.norm(wrench[:3] - self._rest[:3]))
-        if (self.phase == 'push' and change < DETECT_FORCE) or (
-            self.phase == 'release' and change >= RELEASE_FORCE
-        ):
+        awaits_push = self.phase == 'push' and change < DETECT_FORCE
+        awaits_release = self.phase == 'release' and change >= RELEASE_FORCE
+        if awaits_push or awaits_release:
             self._samples = []
             return False
         self._samples.append(wrench)
-        count = max(2, round(PHASE_TIME * self._rate))
-        if len(self._samples) < (2 * count if self.phase == 'push' else count):
+        averaged = max(2, round(PHASE_TIME * self._rate))
+        needed = 2 * averaged if self.phase == 'push' else averaged
+        if len(self._samples) < needed:
             return False
-        mean = np.mean(self._samples[-count:], axis=0)
+        mean = np.mean(self._samples[-averaged:], axis=0)
         if self.phase == 'push':
             self._pushes.append(mean)
-            self._enter('release')
-        elif (
-            self.phase == 'rest'
-            and np.std(self._samples, axis=0)[:3].max() > MAX_REST_STD
-        ):
-            self._samples = []
-        elif len(self._pushes) == len(self._config.directions):
+            self._enter_phase('release')
+            return False
+        if self.phase == 'rest':
+            if np.std(self._samples, axis=0)[:3].max() > MAX_REST_STD:
+                self._samples = []
+                return False
+            self._rest = mean
+        if len(self._pushes) == len(self._config.directions):
             return True
-        else:
-            if self.phase == 'rest':
-                self._rest = mean
-            self._enter('push')
+        self._enter_phase('push')
         return False
 
-    def _enter(self, phase: str) -> None:
-        self.phase, self._ticks, self._samples = phase, 0, list[Vector]()
+    def _enter_phase(self, phase: str) -> None:
+        self.phase = phase
+        self._ticks = 0
+        self._samples = []
 
     def _finish(self, result: PushTestResult) -> None:
-        self.result, self.open = result, result.passed
+        self.result = result
+        self.open = result.passed
         self.phase = ''
 
 
@@ -279,6 +291,9 @@ def judge_pushes(
     """
     Judge a sensor by its readings under pushes.
 
+    Sign, turn and scale of the whole come first, then single pushes; moments are judged once the
+    forces are right, since they locate the pushes by them.
+
     Parameters
     ----------
     wrenches, rest
@@ -291,18 +306,26 @@ def judge_pushes(
     tips
         From the sensor to the ends of the tool, by name, world axes, shape (3,) [m].
 
+    Returns
+    -------
+    PushTestResult
+        With the defects named in the sensor's axes, or none.
+
     """
-    expected, deltas = -config.force * config.directions_world, wrenches - rest
-    sign, rotation, scale = fit_sensor_mounting(deltas[:, :3], expected)
-    findings = _mounting_findings(
-        sign, rotation_world.T @ rotation @ rotation_world, scale
-    ) or _push_findings(deltas[:, :3], expected, config)
+    expected = -config.force * config.directions_world
+    changes = wrenches - rest
+    forces = changes[:, :3]
+    sign, turn_world, scale = fit_sensor_mounting(forces, expected)
+    turn_sensor = rotation_world.T @ turn_world @ rotation_world
+    findings = _mounting_findings(sign, turn_sensor, scale)
+    if not findings:
+        findings = _push_findings(forces, expected, config)
     reach = max(float(np.linalg.norm(tip)) for tip in tips.values())
     unchecked = ''
     if reach < MIN_LEVER:
         unchecked = f'moments not checked: the tool reaches {100.0 * reach:.0f} cm'
     elif not findings:
-        findings = _moment_findings(deltas, rotation_world, reach, tips, config)
+        findings = _moment_findings(changes, rotation_world, tips, config)
     offset = float(np.linalg.norm(rest[:3]))
     if offset > MAX_REST_FORCE:
         findings.append(
@@ -323,7 +346,8 @@ def fit_sensor_mounting(
     U, sigma, Vt = np.linalg.svd(measured.T @ expected)
     Q = U @ Vt
     sign = 1 if np.linalg.det(Q) > 0.0 else -1
-    return sign, sign * Q, float(sigma.sum() / np.sum(expected**2))
+    scale = float(sigma.sum() / np.sum(expected**2))
+    return sign, sign * Q, scale
 
 
 def _mounting_findings(sign: int, rotation: Matrix, scale: float) -> list[str]:
@@ -332,11 +356,11 @@ def _mounting_findings(sign: int, rotation: Matrix, scale: float) -> list[str]:
     vector = Rotation.from_matrix(rotation).as_rotvec()
     angle = float(np.linalg.norm(vector))
     axis = np.round(vector / max(angle, 1e-12), 1) + 0.0  # without negative zeros
-    name = f'the axis ({", ".join(f"{x:g}" for x in axis)}) of the sensor'
+    x, y, z = axis
+    name = f'the axis ({x:g}, {y:g}, {z:g}) of the sensor'
     if sign < 0 and angle > np.pi - MAX_ANGLE:
-        findings.append(
-            f'sign along {name} alone flipped'
-        )  # a reflection is -(half a turn)
+        # A reflection is half a turn with the sign flipped.
+        findings.append(f'sign along {name} alone flipped')
     else:
         if sign < 0:
             findings.append('sign flipped')
@@ -366,44 +390,54 @@ def _push_findings(
 
 
 def _moment_findings(
-    deltas: Matrix,
+    changes: Matrix,
     rotation_world: Matrix,
-    reach: float,
     tips: Mapping[str, Vector],
     config: PushTestConfig,
 ) -> list[str]:
     """Name moments that are not those of pushes near a tip of the tool, and likely causes."""
-    forces, moments = deltas[:, :3], deltas[:, 3:]
-    point: Vector = np.linalg.lstsq(
-        np.vstack([np.cross(np.eye(3), force).T for force in forces]), moments.ravel()
-    )[0]
-    off = np.linalg.norm(moments - np.cross(point, forces), axis=1) / np.linalg.norm(
-        forces, axis=1
-    )
+    forces = changes[:, :3]
+    moments = changes[:, 3:]
+    # m_i = p x f_i is linear in p: the columns are those of e x f_i.
+    columns = np.vstack([np.cross(np.eye(3), force).T for force in forces])
+    point: Vector = np.linalg.lstsq(columns, moments.ravel())[0]
+    missing = np.linalg.norm(moments - np.cross(point, forces), axis=1)
+    off = missing / np.linalg.norm(forces, axis=1)  # lever, [m]
     if not (off <= 2.0 * LEVER_TOLERANCE).all():
         worst = config.directions[int(np.argmax(off))]
         return [
             f'torque of the push along {worst} is {100.0 * off.max():.0f} cm off the point '
             'of the others: torque channels swapped?'
         ]
-
-    def near_tip(point: Vector) -> bool:
-        return bool(np.linalg.norm(point) <= reach + LEVER_TOLERANCE) and any(
-            point @ tip >= NEAR_TIP * (tip @ tip)
-            for tip in tips.values()
-            if np.linalg.norm(tip) >= 0.5 * reach
-        )
-
-    if near_tip(point):
+    if _is_near_tip(point, tips):
         return []
-    causes = [
-        f'moments about {name} instead of the sensor (a wrench at the TCP)'
-        for name, tip in tips.items()
-        if near_tip(point + tip)
-    ][:1]
-    causes += ['sign of the torques flipped'] * near_tip(-point)
+    causes = []
+    for name, tip in tips.items():
+        if _is_near_tip(point + tip, tips):
+            causes.append(
+                f'moments about {name} instead of the sensor (a wrench at the TCP)'
+            )
+            break
+    if _is_near_tip(-point, tips):
+        causes.append('sign of the torques flipped')
     x, y, z = rotation_world.T @ point
-    return [
-        f'torques are those of pushes at ({x:.2f}, {y:.2f}, {z:.2f}) m from the sensor, which '
-        f'is not near the tip of the tool{": " if causes else ""}{" or ".join(causes)}'
-    ]
+    finding = (
+        f'torques are those of pushes at ({x:.2f}, {y:.2f}, {z:.2f}) m from the sensor, '
+        'which is not near the tip of the tool'
+    )
+    if causes:
+        finding = f'{finding}: {" or ".join(causes)}'
+    return [finding]
+
+
+def _is_near_tip(point: Vector, tips: Mapping[str, Vector]) -> bool:
+    """Return whether a point is within reach of the tool, towards a tip far from the sensor."""
+    lengths = {name: np.linalg.norm(tip) for name, tip in tips.items()}
+    reach = max(lengths.values())
+    if not np.linalg.norm(point) <= reach + LEVER_TOLERANCE:
+        return False
+    for name, tip in tips.items():
+        is_long = lengths[name] >= 0.5 * reach
+        if is_long and point @ tip >= NEAR_TIP * (tip @ tip):
+            return True
+    return False

@@ -18,27 +18,30 @@ from multicontact_control.errors import CalibrationError
 import numpy as np
 
 MIN_SAMPLES = 25  # readings of a tare
-MAX_FORCE_STD, MAX_TORQUE_STD = 0.5, 0.05  # N, N m: of these readings, in an axis
+MAX_FORCE_STD = 0.5  # N, of these readings, in an axis
+MAX_TORQUE_STD = 0.05  # N m
 MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts as bias
 MIN_POSES = 4
-MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
+MAX_POSES_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none
-MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL = (
-    0.5,
-    0.05,
-)  # N, N m: rms of what a fit leaves of an axis
+MAX_FORCE_RESIDUAL = 0.5  # N, rms of what a fit leaves of an axis
+MAX_TORQUE_RESIDUAL = 0.05  # N m
 
 
 class PoseReading(NamedTuple):
-    """Orientation of the sensor, shape (3, 3), and what it reads at rest, shape (6,) [N, N m]."""
+    """
+    A reading at rest in one pose of the sensor, of which an identification takes several.
 
-    rotation_world: Matrix
-    wrench_sensor: Vector
+    Its mean over a while, so that noise is small against the weight of the tool.
+    """
+
+    rotation_world: Matrix  # orientation of the sensor, shape (3, 3)
+    wrench_sensor: Vector  # in sensor axes, force first, shape (6,) [N, N m]
 
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What hangs on the sensor and what it reads of itself."""
+    """What hangs on the sensor and what it reads of itself, with what the fit says of both."""
 
     mass: float  # beyond the sensor [kg]
     mass_std: float  # its standard error [kg]
@@ -51,7 +54,7 @@ class Identification:
     poses: int
 
     def tool(self) -> ToolConfig:
-        """Return it as the controller's configuration has it."""
+        """Return the tool and the bias as the controller's configuration has them."""
         x, y, z = self.com_sensor.tolist()
         return ToolConfig(
             mass=self.mass,
@@ -120,6 +123,9 @@ def identify_tool(
     """
     Identify mass, centre of mass and bias by linear least squares.
 
+    The standard errors are those of the fit's own residuals. A mass below `NOTHING_HANGS` of its
+    standard error has no centre.
+
     Parameters
     ----------
     readings
@@ -139,17 +145,18 @@ def identify_tool(
     scale = float(np.sqrt(gravity_world @ gravity_world))
     A, b = _equations(readings, gravity_world / scale)
     condition = float(np.linalg.cond(A))
-    if not condition <= MAX_CONDITION:
+    if not condition <= MAX_POSES_CONDITION:
         raise CalibrationError(
             f'poses: expected orientations that tilt the tool differently (condition number at '
-            f'most {MAX_CONDITION:g}), got {condition:.3g}'
+            f'most {MAX_POSES_CONDITION:g}), got {condition:.3g}'
         )
     x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
     left = (b - A @ x).reshape(-1, 2, 3)
     # Force and torque equations share no unknown: 4 and 6 of them, 3 equations each per pose.
     variance = np.sum(left**2, axis=(0, 2)) / (3 * poses - np.array([4, 6]))
     spread = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
-    mass, mass_std = x[0] / scale, spread[0] * np.sqrt(variance[0]) / scale
+    mass = x[0] / scale
+    mass_std = spread[0] * np.sqrt(variance[0]) / scale
     if mass < -NOTHING_HANGS * mass_std:
         raise CalibrationError(
             f'mass: expected at least 0 kg, got {mass:.3g} kg; is the sign of the sensor '
@@ -162,12 +169,12 @@ def identify_tool(
             f'N m, got {force_residual:.3g} N and {torque_residual:.3g} N m; is the frame of the '
             'sensor right, and was the arm at rest?'
         )
-    com, com_std = np.zeros(3), np.zeros(3)
+    com = np.zeros(3)
+    com_std = np.zeros(3)
     if mass > NOTHING_HANGS * mass_std:
         com = x[1:4] / (mass * scale)
-        com_std = (
-            np.hypot(spread[1:4] * np.sqrt(variance[1]) / scale, com * mass_std) / mass
-        )
+        moment_std = spread[1:4] * np.sqrt(variance[1]) / scale
+        com_std = np.hypot(moment_std, com * mass_std) / mass
     return Identification(
         mass=max(float(mass), 0.0),
         mass_std=float(mass_std),

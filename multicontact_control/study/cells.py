@@ -87,7 +87,7 @@ def lay_over_arguments(
         If a name is none of a parameter.
 
     """
-    by_section = overrides.overrides_of(values, base, 'factors.')
+    by_section = overrides.nest_overrides(values, base, 'factors.')
     by_argument = {
         overrides.ARGUMENTS[section]: nested for section, nested in by_section.items()
     }
@@ -127,7 +127,7 @@ def plan_runs(study: StudyConfig) -> list[Cell]:
             }
             for name in absent:
                 if is_parameter_name(name):
-                    factors[name] = overrides.value_of(name, setup)
+                    factors[name] = overrides.read_value(name, setup)
             cells += cells_with_seeds(factors, job, part.seeds)
     if not cells:
         raise ConfigError(
@@ -195,13 +195,13 @@ def _resolve_job(job: RunJob, title: str, combination: Combination) -> Setup:
         )
         if where:
             field = f'{title} ({where}): {field}'.strip()
-        raise error.moved(field) from None
+        raise error.as_config_error(field) from None
 
 
 def _has_values(setup: Setup, expected: Mapping[str, Any]) -> bool:
     """Return whether parameters of a setup have the values that a condition expects."""
     return all(
-        overrides.value_of(name, setup) == value for name, value in expected.items()
+        overrides.read_value(name, setup) == value for name, value in expected.items()
     )
 
 
@@ -215,10 +215,10 @@ def _multiples(
     """
     parts = parameter.split('.')
     values = {}
-    for place in overrides.paths_of(parameter, base, 'factors'):
+    for place in overrides.find_places(parameter, base, 'factors'):
         source = factor.multiples_of
         if overrides.EVERY in parts:
             contact = place[parts.index(overrides.EVERY)]
             source = source.replace(overrides.EVERY, contact)
-        values['.'.join(place)] = multiple * overrides.value_of(source, base)
+        values['.'.join(place)] = multiple * overrides.read_value(source, base)
     return values

@@ -11,7 +11,7 @@ from multicontact_control.judging.contact_metrics import LASTING_PUSH
 from multicontact_control.judging.evidence import collect_evidence
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_summary import summarise_run
-from multicontact_control.runs.scenario import dotted, Setup
+from multicontact_control.runs.scenario import flatten_parameters, Setup
 import numpy as np
 
 END_TIME = 0.5  # s, the end of a run that tells whether it has settled
@@ -128,10 +128,10 @@ def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float
     """Return the largest mean error over 12 ms of the first force around that time [N]."""
     if gone is None:
         return None
-    leaves, _ = gone
+    leaves, returns = gone
     time = run.data.time
     count = round(MEAN_TIME * run.data.rate)
-    error = run.contacts[0].error[(time >= leaves) & (time < leaves + 1.0)]
+    error = run.contacts[0].error[(time >= leaves) & (time < returns + 1.0)]
     if len(error) < count:  # the run ended before
         return None
     means = np.convolve(error, np.full(count, 1.0 / count), 'valid')
@@ -182,7 +182,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'neighbour_n': metrics.get('neighbour_n'),
     }
     in_full = {name: summary[name] for name in IN_FULL if name in summary}
-    for name, value in dotted(in_full).items():
+    for name, value in flatten_parameters(in_full).items():
         if not isinstance(value, list):
             row[name] = value
     row['trajectory_sha256'] = summary.get('trajectory_sha256')

@@ -13,7 +13,7 @@ from multicontact_control import __version__
 from multicontact_control.errors import format_count
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging import page
-from multicontact_control.runs.overrides import unit_of
+from multicontact_control.runs.overrides import find_unit
 from multicontact_control.study import table
 from multicontact_control.study.cells import Cell, is_parameter_name, plan_runs
 from multicontact_control.study.config import StudyConfig
@@ -91,7 +91,7 @@ class Study:
         frame = self.complete_table(pd.DataFrame(rows))
         factors = list(cells[0].factors)
         units = {
-            name: unit_of(name, cells[0].job.setup())
+            name: find_unit(name, cells[0].job.setup())
             for name in factors
             if is_parameter_name(name)
         }

@@ -23,7 +23,7 @@ from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.tasks import STILL, Task, TaskSource
+from multicontact_control.control.tasks import TaskSource, WantedTask, ZERO_TWIST
 from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.records import (
     Contact,
@@ -33,8 +33,8 @@ from multicontact_control.records import (
     Record,
     record_dtype,
     Records,
+    Task,
 )
-from multicontact_control.records import Task as TaskRecord
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.contacts import (
     CONTACT_STATE,
@@ -176,7 +176,7 @@ class ContactTask:
         self.states: Records[ContactState] = np.zeros(
             len(config.columns), dtype=CONTACT_STATE
         )
-        self._names, self._leaders = config.column_names, np.array(config.leaders)
+        self._names, self._leaders = config.column_names, np.array(config.force_columns)
         self._codes = self.states['state']
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
         self._time, self._changed = self.limits['time'], self.limits['changed']
@@ -239,9 +239,9 @@ class ContactTask:
             position -= state['displacement'] * normal
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
-        self._write_wanted(
-            Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
-        )
+        pose = Pose(position, rotation)
+        active = pressed & pressing
+        self._write_wanted(WantedTask(pose, ZERO_TWIST, ZERO_TWIST, active, forces))
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = (
             0.0
@@ -264,7 +264,7 @@ class ContactTask:
         if self.held or self.locked:
             self._lost_time += time - float(self._time[0])
         else:
-            task = self._source.task(
+            task = self._source.task_at(
                 time - self._lost_time,
                 None if self._guarded else self._columns['alpha_meas'],
             )
@@ -274,7 +274,7 @@ class ContactTask:
         if self._guarded and self._kept is not None:
             self._return_to_task(self._kept)
 
-    def _write_wanted(self, task: Task) -> None:
+    def _write_wanted(self, task: WantedTask) -> None:
         """Write what is new in a task into the records; what is the same object stands there."""
         self._task = task
         parts = (*task.pose_des, *task[1:])
@@ -453,9 +453,9 @@ def limit_task(
 
 
 @compiled
-def _advance_reference(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
+def _advance_reference(limit: TaskLimits, frame: Frame, task: Task) -> bool:
     """
-    Let the reference catch up with the task where the arm could not; return if it is catching_up.
+    Let the reference catch up with the task where the arm could not; return if it is behind.
 
     Once the motion of the arm is bounded, after a pause, and where the task makes a step, the
     reference goes straight to the task, but no farther ahead of the arm than `LEAST_LEAD`: so it
@@ -694,7 +694,7 @@ def _allow_for_sliding(
 def _limit_reference(
     limit: TaskLimits,
     frame: Frame,
-    task: TaskRecord,
+    task: Task,
     columns: Records[Contact],
 ) -> bool:
     """Bring a task within the box and, off active normals, within reach; return if it changed."""

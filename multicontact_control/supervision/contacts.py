@@ -25,7 +25,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from multicontact_control.compiled import compiled
-from multicontact_control.config.supervision import ContactStateConfig
+from multicontact_control.config.supervision import ContactStateConfig, RELEASE_FORCE
 from multicontact_control.records import (
     Record,
     record_dtype,
@@ -198,7 +198,6 @@ class ContactSettings(Record, Protocol):
     approach_ramp_time: float
     approach_distance: float
     contact_threshold: float
-    release_threshold: float
     preload: float
     force_ceiling: float
     retry_time: float
@@ -583,7 +582,7 @@ def _advance_hold(
         if contact.answered and contact.state == HOLDING and not contact.resumed:
             _begin_with_preload(contact, settings)
     threshold = max(
-        settings.release_threshold,
+        RELEASE_FORCE,
         RELEASE_SHARE
         * min(contact.mean_force, contact.alpha_task, contact.force_limit),
     )

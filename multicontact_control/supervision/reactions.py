@@ -7,6 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.config.supervision import RELEASE_FORCE
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.operational_space import (
@@ -175,7 +176,6 @@ class Reactions:
         self._period = config.period
         self._robot, self._contacts = controller.robot, controller.contacts
         self._added: Vector = controller.arm.joints['drive_gravity_torque']
-        self._release_threshold = config.contact_state.release_threshold
         self._task: Records[Task] = controller.controls['task']
         self._law: Records[Law] = controller.controls['law']
         self._swings: Matrix = np.zeros((3, self._robot.joint_count))
@@ -346,7 +346,7 @@ class Reactions:
             return 0.0
         keep: Any = math.exp(-self._period / FADE_TIME)
         if wrench_known:
-            felt: Mask = self._contacts['alpha_meas'] > self._release_threshold
+            felt: Mask = self._contacts['alpha_meas'] > RELEASE_FORCE
             felt = felt[self._contacts['config']['leader']]  # a couple with its contact
             keep = np.where(felt, 1.0, math.exp(-self._period / DROP_TIME))
         self._pressing = self._pressing * keep

@@ -7,7 +7,11 @@ import logging
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import ArmState, RELEASE
-from multicontact_control.control.controller import Controller, ControlOutput, Design
+from multicontact_control.control.controller import (
+    Controller,
+    ControllerDesign,
+    ControlOutput,
+)
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.diagnosis.explanations import Explanations
 from multicontact_control.dynamics.robot import RobotModel
@@ -183,7 +187,7 @@ class Supervisor:
             command = self.gate.last if self._torque_acts[0] else None
             self._verdict = verdict = self.inputs.validate(inputs, command)
             if self.controller.tool is not self.controller.next_tool:
-                self.controller.change_tool()
+                self.controller.advance_tool_change()
             if verdict.joints_known:
                 terms = self._robot.compute(self._q, self._velocity)
                 if self._adds_gravity:
@@ -224,7 +228,7 @@ class Supervisor:
 
     def _allow_for_gravity(self) -> None:
         """Tell the gate what the drives add to a command."""
-        weight = self.controller.own_weight()
+        weight = self.controller.drive_gravity_torque()
         if np.isfinite(weight).all():
             self.gate.update_added_torque(weight)
 
@@ -239,7 +243,7 @@ class Supervisor:
             if not found & MODEL_NOT_FINITE:
                 self._arm = self.controller.arm
             if found & RESIDUAL_CLEARED:
-                self._add_finding(self.explanations.lag())
+                self._add_finding(self.explanations.explain_late_wrench())
         return self._choose_answer(verdict, found)
 
     def _choose_answer(self, verdict: InputVerdict, found: int) -> Answer:
@@ -291,7 +295,7 @@ class Supervisor:
             self._begin_torque()
         self.task.update_wanted_task(self._task_ticks * self._period)
         if arm.flags & (MODEL_NOT_FINITE | FORCES_AMBIGUOUS):
-            self.controller.refuse()
+            self.controller.raise_no_answer()
         self._judgement['resumes'] = self._paused
         return self._finish_law_answer(self._run_stage(ACT), reaction, causes)
 
@@ -300,17 +304,17 @@ class Supervisor:
     ) -> Answer:
         """Answer by the law, or refuse what it says."""
         if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
-            self.controller.refuse(found)
+            self.controller.raise_no_answer(found)
         self._part = 'internal'
         if found & ANSWER_REFUSED:
             return self._refuse_answer(checks.name_refusal_cause(found))
         if not self._in_control:
             self._hand_control_to_law()
         if found & RESIDUAL_CLEARED:
-            self._add_finding(self.explanations.lag())
+            self._add_finding(self.explanations.explain_late_wrench())
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and found & LASTING_LIMITS:
-            self.controller.account_for(self.gate.last)
+            self.controller.account_for_torque(self.gate.last)
         self._task_ticks += 1
         return self._report_tick(reaction, causes, found)
 
@@ -425,7 +429,7 @@ class Supervisor:
             self._reacting % round(STANDING_TIME / self._period) == 1
             and not self._weighed
         ):
-            gravity = self.explanations.gravity(self._causes)
+            gravity = self.explanations.explain_other_gravity(self._causes)
             self._weighed = bool(gravity)
             self._add_finding(gravity)
         self._paused, self._in_control = True, False
@@ -461,12 +465,12 @@ class Supervisor:
             return (text,)
         if self.explanations.comes_of_velocities(causes):
             self.inputs.refute_worst_velocity()
-        return self.explanations.of(causes)
+        return self.explanations.explain_causes(causes)
 
     def _answer_exception(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it, and tell what it says."""
         cause = f'{part}_{type(error).__name__}'
-        if part == 'law' and not self.controller.arm.finite:
+        if part == 'law' and not self.controller.arm.has_finite_terms:
             cause = 'law_not_finite'
         self._failure = cause, self._log_exception(cause, error)
         try:
@@ -513,7 +517,7 @@ class Supervisor:
         else:
             self._output = ControlOutput(torque, self._memory.tobytes())
         if not controlled:
-            self._output = self._output.without_answer()
+            self._output = self._output.without_force_answers()
         if not self.guarded:
             return self._output, None
         named, plain = found & NAMED, self._verdict is ALL_VALID and not causes
@@ -533,7 +537,7 @@ class Supervisor:
         """Return what was done in a tick in which something is not as in the one before."""
         unwatched, read_before = '', tuple[str, ...]()
         if self._verdict.efforts_unusable:
-            unwatched = self.explanations.unwatched()
+            unwatched = self.explanations.explain_unwatched_joints()
         if self._reads_before[0]:
             read_before = self.task.read_before
         return SupervisorStatus(
@@ -551,7 +555,7 @@ class Supervisor:
         """Return the time of the task, which stands still during a reaction [s]."""
         return self._task_ticks * self._period
 
-    def adopt_design(self, design: Design) -> None:
+    def adopt_design(self, design: ControllerDesign) -> None:
         """Go on with other live parameters, without a jump; see `Controller.design`."""
         self.controller.use(design)
         self._apply_config(design.config)

@@ -9,8 +9,8 @@ from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.control.tasks import (
+    evaluate_sine_motion,
     MotionReading,
-    sine_motion,
     SineConfig,
 )
 from multicontact_control.supervision.command_limits import check_position, check_twist
@@ -48,7 +48,7 @@ class BlendedSine:
     def largest_rates(self) -> tuple[float, float]:
         """Return its largest speed [m/s] and acceleration [m/s^2], while it comes or stays."""
         times = np.linspace(0.0, BLEND_TIME + self._config.period, SAMPLES)
-        values = np.abs([sine_motion(self._config, time) for time in times])
+        values = np.abs([evaluate_sine_motion(self._config, time) for time in times])
         _, speed, acceleration = values.max(axis=0)
         return float(speed), float(acceleration)
 
@@ -60,7 +60,7 @@ class BlendedSine:
     def advance(self, period: float) -> Matrix:
         """Go on for a period [s]; return displacement, velocity and acceleration, shape (3, 3)."""
         self._time += period
-        s, ds, dds = sine_motion(self._config, self._time)
+        s, ds, dds = evaluate_sine_motion(self._config, self._time)
         # Of the time until the end, which runs backwards.
         b, db, ddb = quintic_blend(self._end - self._time, BLEND_TIME)
         blended = (b * s, b * ds - db * s, b * dds - 2.0 * db * ds + ddb * s)

@@ -281,7 +281,7 @@ def status_html(title: str, snapshot: Snapshot) -> str:
 
 def contacts_html(scene: Scene, snapshot: Snapshot) -> str:
     """Return a table of the contacts: state, and measured, estimated, desired and true force."""
-    leaders, shown = scene.config.leaders, 4 if scene.true_forces else 3
+    leaders, shown = scene.config.force_columns, 4 if scene.true_forces else 3
     rows = []
     for i, name in enumerate(scene.config.column_names):
         state = ''

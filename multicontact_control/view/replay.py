@@ -65,7 +65,7 @@ class ReplaySource:
         # While a simulator pauses, several things happen at one sample: they keep their order.
         in_time = sorted(events, key=itemgetter(0))
         self._events = [read_event(*line) for line in in_time] or presses(
-            data, list(config.leaders)
+            data, list(config.force_columns)
         )
         self._event_times = [event.time for event in self._events]
         changes = source.ChangeReader(config.contact_names)

@@ -55,7 +55,7 @@ class SceneView:
         config = scene.config
         self._robot = RobotModel(config.robot, scene.urdf_dir)
         self._shapes = read_shapes(scene.urdf_dir / config.robot.urdf)
-        self._leaders = list(config.leaders)
+        self._leaders = list(config.force_columns)
         self._contacts = [config.contacts[name] for name in config.contact_names]
         self._points = np.array(
             [contact.point_operational for contact in self._contacts]

@@ -14,7 +14,7 @@ from multicontact_control.contact.projections import (
     compose_acceleration,
     factorise_contacts,
 )
-from multicontact_control.control.law import drive_coordinates, force_law
+from multicontact_control.control.law import apply_force_law, convert_to_coordinates
 from multicontact_control.force.plant import make_delayed_plant, place_poles
 from multicontact_control.records import CONTACT, LAW
 import numpy as np
@@ -63,7 +63,7 @@ def allocate_force(N, alpha_star, allocation):
     law, f_c = np.zeros(1, dtype=LAW), np.empty(6)
     law['decoupled'] = allocation == 'decoupled'
     contacts = np.zeros(len(rows), dtype=CONTACT)
-    force_law(
+    apply_force_law(
         law[0],
         rows,
         factor,
@@ -79,7 +79,7 @@ def allocate_force(N, alpha_star, allocation):
 def coordinate_inputs(N, inputs):
     """Return alpha* of the coordinates for u of the contact points."""
     alpha_star = np.array(inputs)
-    drive_coordinates(np.ascontiguousarray(N.T), alpha_star)
+    convert_to_coordinates(np.ascontiguousarray(N.T), alpha_star)
     return alpha_star
 
 

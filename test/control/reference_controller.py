@@ -67,7 +67,7 @@ class ReferenceController:
             self._observers = self._design_observers()
             self._start = measurement.q.copy()
             self._reference.start(state.pose, self._normals_world)
-        reference = self._reference.task(measurement.time, alpha_meas)
+        reference = self._reference.task_at(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
         space = operational_space(state, singular_mobility=SINGULAR_MOBILITY)
         N = N_all[:, self._active]

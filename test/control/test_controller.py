@@ -12,8 +12,8 @@ from arms import (
 import equations
 from hypothesis import given
 from hypothesis import strategies as st
-from multicontact_control.control.law import finish_torque
-from multicontact_control.control.tasks import CommandedTask, MotionReading, Task
+from multicontact_control.control.law import limit_torque
+from multicontact_control.control.tasks import CommandedTask, MotionReading, WantedTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
@@ -31,7 +31,7 @@ NO_FRICTION = {'coulomb': [], 'viscous': []}
 def make_law(reference=None, **changes):
     """Return a law without joint friction, and its reference: commands by themselves."""
     config = controller_config(friction=NO_FRICTION, **changes)
-    reference = reference or CommandedTask(config.contact_names)
+    reference = reference or CommandedTask(config.column_names, config.leading_columns)
     return Law(config, reference), reference
 
 
@@ -113,12 +113,12 @@ class RandomTask:
     def start(self, pose, normals_world):
         self._pose = pose
 
-    def task(self, time, alpha_meas=None):
+    def task_at(self, time, alpha_meas=None):
         random = self._generator
         turn = random.normal(size=4) * [0.2, 0.2, 0.2, 0.0] + [0.0, 0.0, 0.0, 1.0]
         offset = Pose.from_quaternion(0.05 * random.normal(size=3), turn)
         active = random.random(self._contacts) < 0.8
-        return Task(
+        return WantedTask(
             pose_des=Pose(
                 self._pose.position_world + offset.position_world,
                 offset.rotation_world @ self._pose.rotation_world,
@@ -289,12 +289,12 @@ class Follow:
     def start(self, pose, normals_world):
         pass
 
-    def task(self, time, alpha_meas=None):
+    def task_at(self, time, alpha_meas=None):
         state = self.state
         beside = Pose(
             state.pose.position_world + self.offset, state.pose.rotation_world
         )
-        return Task(
+        return WantedTask(
             beside, state.twist_world, REST, np.zeros(2, dtype=bool), np.zeros(2)
         )
 
@@ -331,7 +331,7 @@ def limited(torque, priority, limit, least_share=0.0, drive_gravity_torque=0.0):
     joints['drive_gravity_torque'] = drive_gravity_torque
     law = np.zeros(1, dtype=LAW)
     law['least_share'] = least_share
-    was_limited = finish_torque(law[0], joints)
+    was_limited = limit_torque(law[0], joints)
     return joints['answer']['torque'], was_limited
 
 

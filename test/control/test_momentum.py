@@ -76,7 +76,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
             )
             controls['momentum']['elapsed'] = H if k else 0.0
             arm.motion[:] = sample.q, sample.qd
-            arm.refresh()
+            arm.take_motion()
             state = robot.update(sample.q, sample.qd)
             felt = (
                 pin.computeFrameJacobian(

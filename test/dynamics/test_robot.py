@@ -265,7 +265,7 @@ def torque_for(model, q, v, acceleration, **nullspace):
     for name, value in nullspace.items():
         (law if name in LAW.names else arm.joints['config'])[name] = value
     arm.motion[:] = q, v
-    arm.refresh()
+    arm.take_motion()
     assert (
         control_law(
             controls[0],

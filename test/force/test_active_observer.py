@@ -8,10 +8,10 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import (
     continue_observers_after_pause,
     continue_observers_from,
-    correct,
+    correct_prediction,
     design_observer,
     make_observers,
-    predict,
+    predict_state,
 )
 from multicontact_control.force.plant import make_delayed_plant
 from multicontact_control.records import MAX_ORDER
@@ -114,8 +114,8 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
 def update_covariance(observers, variances, spaces):
     """Let the covariance of an observer, which no measurement changes, go on."""
     for variance in variances:
-        predict(observers[0], spaces[0])
-        correct(observers[0], 0.0, variance, spaces[0])
+        predict_state(observers[0], spaces[0])
+        correct_prediction(observers[0], 0.0, variance, spaces[0])
 
 
 @pytest.mark.parametrize('damping_rate', [0.0, 20.0])

@@ -31,7 +31,7 @@ from multicontact_control.judging.report import render_figures
 from multicontact_control.judging.results import load, load_run
 from multicontact_control.judging.run_figures import describe_figures
 from multicontact_control.judging.verdict import describe_verdict, judge_run
-from multicontact_control.runs.recording import gaps_of
+from multicontact_control.runs.recording import find_gaps
 from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
@@ -233,7 +233,7 @@ def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
     run = RunMetrics(data, setup)
     assert run.contacts[0].step_responses == []
     assert not run.windows.loaded[part].any()
-    assert judge_run(data, setup, missing=gaps_of(data)).unjudged.startswith(
+    assert judge_run(data, setup, missing=find_gaps(data)).unjudged.startswith(
         'no samples from '
     )
 

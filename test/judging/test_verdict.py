@@ -225,7 +225,7 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(
 def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup, data):
     report = EventLog()
     for time, state in ((0.0, 'free'), (2.6, 'holding')):
-        report.note(
+        report.note_status(
             time,
             SupervisorStatus(
                 'none',

@@ -18,7 +18,7 @@ from multicontact_control.nodes.private import parameter_overrides
 from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.scenario import (
-    dotted,
+    flatten_parameters,
     read_controller_files,
     resolve,
 )
@@ -124,7 +124,7 @@ def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
     file = write(tmp_path)
     overrides = parameter_overrides(make_node(file=file))
     read = read_controller_files([file])
-    expected = dotted(read.controller | read.node)
+    expected = flatten_parameters(read.controller | read.node)
     assert expected and expected == {
         name: list(x.value or ()) if isinstance(expected.get(name), list) else x.value
         for name, x in overrides.items()

@@ -9,7 +9,10 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging.results import infer_contact_types, load_setup
 from multicontact_control.runs.parameter_file import write_parameters
-from multicontact_control.runs.scenario import dotted, resolve, resolve_external
+from multicontact_control.runs.scenario import (
+    resolve,
+    resolve_external,
+)
 import pytest
 import typer
 import yaml
@@ -35,15 +38,15 @@ def context_with(*options):
 
 
 def test_controller_file_is_all_that_is_needed(file):
-    setup, node, duration = resolve_external([file])
+    setup = resolve_external([file])
     assert setup.controller.robot.joint_names == JOINTS
     assert setup.noise_estimator.contact_names == ('wall',)
     assert setup.noise_estimator.rate == setup.controller.rate
-    assert (setup.simulated, setup.commanded_by_topic, node, duration) == (
+    assert (setup.simulated, setup.commanded_by_topic, setup.nodes, setup.endless) == (
         False,
         True,
         {},
-        None,
+        True,
     )
     assert setup.urdf_dir == file.parent
 
@@ -72,16 +75,17 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
             'controller.pair_tolerance=0.2',
         ],
     )
-    setup, node, duration = options.external(
-        [file, tool], context_with('scenario', 'preset')
-    )
+    setup = options.external([file, tool], context_with('scenario', 'preset'))
     assert setup.controller.tool.mass == 0.8
     assert setup.controller.force.stiffness == 'adaptive'
     assert setup.controller.force.damping_rate == 33.0
     assert setup.noise_estimator.estimator == 'fixed'
-    assert (duration, setup.commanded_by_topic) == (6.0, False)
-    assert dotted(node) == {'patience': 9.0, 'command.force_ceiling': 25.0}
-    assert setup.node_parameters('controller') == {'pair_tolerance': 0.2}
+    assert (setup.scenario.duration, setup.commanded_by_topic) == (6.0, False)
+    assert setup.node_parameters('controller') == {
+        'patience': 9.0,
+        'command.force_ceiling': 25.0,
+        'pair_tolerance': 0.2,
+    }
 
 
 def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
@@ -97,8 +101,9 @@ def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
     content['controller_node']['ros__parameters'].pop('rate')
     content['/left/noise_estimator_node'] = {'ros__parameters': {'window': 20}}
     file.write_text(yaml.safe_dump(content))
-    setup, node, _ = resolve_external([file])
-    assert (setup.controller.rate, setup.controller.tool.mass, node) == (250.0, 0.8, {})
+    setup = resolve_external([file])
+    assert (setup.controller.rate, setup.controller.tool.mass) == (250.0, 0.8)
+    assert setup.nodes == {}
     estimator = setup.noise_estimator
     assert (estimator.rate, estimator.window, estimator.variance_scale) == (
         250.0,
@@ -108,9 +113,9 @@ def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
 
 
 def test_parameter_file_may_name_nodes_in_a_namespace(file):
-    wanted, content = resolve_external([file]).setup, yaml.safe_load(file.read_text())
+    wanted, content = resolve_external([file]), yaml.safe_load(file.read_text())
     file.write_text(yaml.safe_dump({'/left': {'/**': content['controller_node']}}))
-    assert resolve_external([file]).setup == wanted
+    assert resolve_external([file]) == wanted
 
 
 @pytest.mark.parametrize(
@@ -146,7 +151,7 @@ def test_setup_that_was_written_is_read_back(file, tmp_path, simulated):
     setup = (
         resolve('edge', plant='puma', seed=3)
         if simulated
-        else (resolve_external([file], duration=3.0).setup)
+        else resolve_external([file], duration=3.0)
     )
     files = setup.write(tmp_path / 'run/config')
     assert ('sim_node' in files) == simulated

@@ -6,8 +6,8 @@ from multicontact_control.judging.judged_run import simulation_parameters
 from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.overrides import (
     node_configs,
-    OF_THE_RUN,
     resolve_with,
+    SET_BY_RUN,
 )
 from multicontact_control.runs.scenario import preset_values, resolve
 import pytest
@@ -203,7 +203,7 @@ def test_settings_reach_what_only_a_node_knows():
     assert parameters['sim_node'] == {'payload': 0.5}
     assert setup.controller.force.damping_rate == 60.0
     for section, config in node_configs().items():
-        for name in config.model_fields.keys() & OF_THE_RUN.keys():
+        for name in config.model_fields.keys() & SET_BY_RUN.keys():
             with pytest.raises(
                 ConfigError, match=f'--set {section}.{name}: .*(give|set|run)'
             ):

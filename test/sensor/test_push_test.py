@@ -171,7 +171,7 @@ def feel(gate, force):
     """Let the sensor, which has the world's axes, read a force [N]."""
     frame = np.zeros(1, dtype=FRAME)
     frame['sensor_rotation'] = STRAIGHT
-    return gate.add_fit_sample(frame[0], np.append(force, np.zeros(3)), ToolConfig())
+    return gate.take_sample(frame[0], np.append(force, np.zeros(3)), ToolConfig())
 
 
 def asked(gate):

@@ -11,7 +11,6 @@ from sim_bridge.drives import (
     solve_joint_speed,
     solve_joint_speeds,
 )
-from sim_bridge.kinematics import mass_matrix
 
 STEP, SUBSTEP, INERTIA = 1e-3, 2.5e-4, 0.784
 ROW = np.array([(0.5, 27.0, 25.0, 1e-3)], dtype=FRICTION)[0]
@@ -53,7 +52,7 @@ def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(
     drives, applied = RigidDrives(model, table, STEP), np.zeros(6)
     for _ in range(5):
         q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
-        drives.advance(torque, torque + load, q, qd, applied)
+        drives.find_link_torque(torque, torque + load, q, qd, applied)
         speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied + load)
         friction = [
             friction_torque(v, row)[0] for v, row in zip(speed, table, strict=True)
@@ -68,7 +67,7 @@ def test_implicit_speeds_solve_their_equations(puma, model, rng):
     table = joint_friction(puma, 1.0, 1e-3)
     model.armature = np.array(puma.armature)
     for _ in range(50):
-        inertia = mass_matrix(model, model.createData(), rng.uniform(-1, 1, 6))
+        inertia = pin.crba(model, model.createData(), rng.uniform(-1, 1, 6))
         free = rng.standard_normal(6) * 10 ** rng.uniform(-6, 0.5, 6)
         speed = np.zeros(6)
         solve_joint_speeds(free, STEP, inertia, table, speed)

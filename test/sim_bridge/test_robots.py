@@ -20,7 +20,7 @@ from robots import carried, OTHERS, ROBOTS
 from sim_bridge.config import PlantConfig
 from sim_bridge.new_robot import new_robot
 from sim_bridge.posture import frame_pose, jacobian_condition
-from sim_bridge.robots import find_robot, urdf_path
+from sim_bridge.robots import find_robot, find_urdf
 from sim_bridge.urdf_arm import arm_of_urdf
 import yaml
 
@@ -30,7 +30,7 @@ TABLE = read_yaml(Path(__file__).parents[1] / 'data' / 'puma560.yaml')
 def vendor(name):
     """Return the vendor's own model of a robot."""
     file = find_robot(name).file
-    path = urdf_path(file.urdf, find_config_folder())
+    path = find_urdf(file.urdf, find_config_folder())
     joints = [
         joint.get('name')
         for joint in ElementTree.parse(path).getroot().findall('joint')
@@ -117,7 +117,7 @@ def test_arm_looks_as_the_vendors_does(name, rng):
     arm, model, path = (
         find_robot(name).arm,
         vendor(name),
-        urdf_path(find_robot(name).file.urdf, find_config_folder()),
+        find_urdf(find_robot(name).file.urdf, find_config_folder()),
     )
     q = rng.uniform(-1.0, 1.0, len(arm.links))
     folders = [str(folder) for folder in path.parents[:5]]
@@ -328,7 +328,15 @@ def test_new_robot_refuses_what_is_no_arm_in_one_line(
             '<robot xmlns:x="http://ros.org/xacro"><x:include file="a"/></robot>'
         )
     with pytest.raises(ConfigError, match=message) as caught:
-        command(welded, tip, sensor, lock=lock)
+        command(
+            urdf=welded,
+            tip=tip,
+            sensor=sensor,
+            out=None,
+            controller=Path('controller.yaml'),
+            overwrite=False,
+            lock=lock,
+        )
     assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
 
 

@@ -125,9 +125,9 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
 def test_markers_show_a_slab_for_each_contact_where_it_is(scenario, names, shown):
     config = resolve(scenario, plant='rigid').plant
     markers = SurfaceMarkers(config, rate=500.0)
-    assert sum(markers.due(tick) for tick in range(1, 501)) == shown
+    assert sum(markers.is_due(tick) for tick in range(1, 501)) == shown
     places = np.arange(3.0 * len(config.met)).reshape(-1, 3)
-    message = markers.message(1_500_000_000, places)
+    message = markers.build_message(1_500_000_000, places)
     assert [marker.ns.rpartition('/')[2] for marker in message.markers][
         : len(names)
     ] == names

@@ -23,7 +23,7 @@ def sensor(seed=0, period=PERIOD, **changes):
 def readings(instrument, wrenches):
     raw, filtered = [], []
     for wrench in wrenches:
-        instrument.read(np.asarray([wrench], dtype=float))
+        instrument.read_wrenches(np.asarray([wrench], dtype=float))
         raw.append(instrument.reading.copy())
         filtered.append(instrument.filtered.copy())
     return np.array(raw), np.array(filtered)

@@ -2,7 +2,7 @@
 
 import math
 
-from multicontact_control.cli.options import described
+from multicontact_control.cli.options import describe_files
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.faults.vocabulary import FAULTS
@@ -32,7 +32,7 @@ def study(name, law='', **choices):
 
 
 def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
-    names = described('studies')
+    names = describe_files('studies')
     assert {
         'compare',
         'laws',

@@ -153,7 +153,7 @@ class SelfCarryingLoop(ClosedLoop):
 
     def act(self):
         own = self._gravity(self.sample.q)
-        self._delay.command(self.tick, self.command)
+        self._delay.enter_command(self.tick, self.command)
         sample = self.plant.step(self._delay.torque_for(self.tick) + own)
         self.sample = sample._replace(effort=sample.effort - own)
         self.tick += 1

@@ -224,7 +224,9 @@ class Asked:
 
     def __init__(self, source=None, **limits):
         config = controller_config(limits=limits)
-        self.source = source or CommandedTask(config.contact_names)
+        self.source = source or CommandedTask(
+            config.column_names, config.leading_columns
+        )
         self.controls, self.contacts = np.zeros(1, CONTROL), np.zeros(2, CONTACT)
         configure_contacts(config, self.contacts)
         self.task = ContactTask(config, self.source, self)
@@ -313,6 +315,7 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
         ),
         rate=1.0 / H,
         names=('table', 'board'),
+        leading_columns=(0, 1),
     )
     asked, here = Asked(motion), Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
     for tick in range(501):

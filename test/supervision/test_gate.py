@@ -38,7 +38,7 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     """Return a gate, and its arm at a posture."""
     arm = ArmState(ROBOT, np.zeros(1, dtype=CONTROL), np.zeros(0, dtype=CONTACT))
     arm.motion[:] = q, velocity
-    assert arm.refresh()
+    assert arm.take_motion()
     joints = arm.joints['config']
     joints['torque_limit'] = limit
     joints['lower'], joints['upper'] = (
@@ -76,7 +76,7 @@ def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
     for _ in range(2500):
         state = ROBOT.update(q, v)
         arm.motion[:] = q, v
-        arm.refresh()
+        arm.take_motion()
         held = state.mass_matrix @ (400.0 * (HOME - q) - 40.0 * v)
         held[joint] = 0.0
         torque = passed(gate, -2, state.gravity + state.coriolis + held + push)
@@ -100,7 +100,7 @@ def test_joint_that_starts_at_its_stop_stays_there():
     for _ in range(500):
         state = ROBOT.update(q, v)
         arm.motion[:] = q, v
-        arm.refresh()
+        arm.take_motion()
         torque = passed(gate, -2, state.gravity + state.coriolis)
         v = v + 0.002 * np.linalg.solve(
             state.mass_matrix, torque - state.gravity - state.coriolis
@@ -143,7 +143,9 @@ def test_change_of_law_is_continuous_and_decays_at_its_declared_rate():
 BIAS = [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
 BIASED = controller_config(tool={'bias_sensor': BIAS})
 CONTACTS = len(BIASED.contact_names)
-SUPERVISOR = Supervisor(BIASED, ROBOT, CommandedTask(BIASED.contact_names))
+SUPERVISOR = Supervisor(
+    BIASED, ROBOT, CommandedTask(BIASED.column_names, BIASED.leading_columns)
+)
 
 
 @settings(max_examples=100, deadline=None)
@@ -153,7 +155,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     q, v = HOME + random.normal(size=6), scale * random.normal(size=6)
     arm, limits = SUPERVISOR.controller.arm, BIASED.limits
     arm.motion[:] = q, v
-    assert arm.refresh()
+    assert arm.take_motion()
     state = ROBOT.update(q, v)
     too_fast = 0
     if np.linalg.norm(state.twist_world[:3]) > 1.1 * limits.operational_speed or (

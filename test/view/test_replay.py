@@ -209,7 +209,7 @@ def test_replay_takes_one_namespace_of_a_file_and_its_surfaces(tmp_path):
             yield (
                 surfaces,
                 PERIOD * k,
-                markers.message(PERIOD * k, np.full((2, 3), 1e-3 * k)),
+                markers.build_message(PERIOD * k, np.full((2, 3), 1e-3 * k)),
             )
 
     write_bag(tmp_path / 'bag', rows())

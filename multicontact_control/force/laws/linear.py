@@ -62,9 +62,6 @@ class LinearDesign(Record, Protocol):
     start_disturbance: Annotated[Vector, MAX_STATES]
 
 
-LINEAR_DESIGN = record_dtype(LinearDesign)
-
-
 class Linear(Record, Protocol):
     """
     A linear force law.

@@ -22,14 +22,12 @@ class Innovation:
     """
 
     innovation: Vector  # r = alpha - C x_1, shape (r,) [N]
-    prior_variance: (
-        Vector  # C P_1 C^T, what the prediction accounts for, shape (r,) [N^2]
-    )
+    prior_variance: Vector  # C P_1 C^T, of the prediction, shape (r,) [N^2]
     variance_used: Vector  # R the observer worked with, shape (r,) [N^2]
 
     @property
     def valid(self) -> Mask:
-        """Which contacts have an innovation, shape (r,)."""
+        """The contacts that have an innovation, as a mask of shape (r,)."""
         mask: Mask = self.variance_used > 0.0
         return mask
 
@@ -63,19 +61,18 @@ class NoiseEstimator(ABC):
         self.config = config
         self.dropped = 0
         bounds = config.noise_variance
-        self._smallest, self._largest = bounds.smallest, bounds.largest
+        self._smallest = bounds.smallest
+        self._largest = bounds.largest
         self._contacts = len(config.contact_names)
         self.bounded = np.zeros(self._contacts, dtype=int)
         self._alpha: Vector = np.zeros(self._contacts)
-        self._largest_step = (
-            math.exp(1.0 / (config.rate * config.slew_time))
-            if (config.slew_time > 0.0)
-            else math.inf
-        )
+        self._largest_step = math.inf
+        if config.slew_time > 0.0:
+            self._largest_step = math.exp(1.0 / (config.rate * config.slew_time))
         self.reset()
 
     def reset(self) -> None:
-        """Forget all samples."""
+        """Forget all samples: every R is `fixed_variance` again; the counters go on."""
         self._variance: Vector = np.full(self._contacts, self.config.fixed_variance)
         self._given: Vector = np.clip(self._variance, self._smallest, self._largest)
         self._forget()
@@ -106,9 +103,8 @@ class NoiseEstimator(ABC):
 
         """
         require_shape('alpha', alpha, self._alpha.shape)
-        self._alpha[:] = (
-            alpha  # whatever its layout: numba would compile anew for another one
-        )
+        # A copy: numba would compile anew for an array of another layout.
+        self._alpha[:] = alpha
         if not self._take(innovation):
             self.dropped += 1
         bounded: Vector = np.clip(self._variance, self._smallest, self._largest)

@@ -18,9 +18,8 @@ def corrected_square(innovation: Innovation, variance: Vector) -> Vector:
     share = variance / np.where(
         variance > 0.0, innovation.prior_variance + variance, 1.0
     )
-    square: Vector = (
-        innovation.innovation * share
-    ) ** 2 + innovation.prior_variance * share
+    corrected = innovation.innovation * share
+    square: Vector = corrected**2 + innovation.prior_variance * share
     return square
 
 
@@ -34,13 +33,10 @@ class InnovationEstimator(NoiseEstimator):
             return False
         if innovation is None:
             return True
-        if not all(
-            usable(values)
-            for values in (
-                innovation.innovation,
-                innovation.prior_variance,
-                innovation.variance_used,
-            )
+        if not (
+            usable(innovation.innovation)
+            and usable(innovation.prior_variance)
+            and usable(innovation.variance_used)
         ):
             return False
         estimate, known = self._estimate_from(innovation)
@@ -71,7 +67,8 @@ class InnovationWindow(InnovationEstimator):
         self._counts = np.zeros(self._contacts, dtype=int)
 
     def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
-        length, valid = len(self._samples), innovation.valid
+        length = len(self._samples)
+        valid = innovation.valid
         terms = innovation.innovation**2 - innovation.prior_variance
         contacts = np.flatnonzero(valid)
         self._samples[self._counts[contacts] % length, contacts] = terms[contacts]

@@ -74,11 +74,10 @@ def design_lead_filter(
     """
     zero = math.exp(-2.0 * math.pi * zero_frequency / rate)
     pole = math.exp(-2.0 * math.pi * pole_frequency / rate)
-    gain = (
-        (1.0 - pole) / (1.0 - zero)
-        if normalisation == 'dc'
-        else (1.0 + pole) / (1.0 + zero)
-    )
+    if normalisation == 'dc':
+        gain = (1.0 - pole) / (1.0 - zero)
+    else:
+        gain = (1.0 + pole) / (1.0 + zero)
     return LeadFilter(pole=pole, zero=zero, gain=gain)
 
 
@@ -106,9 +105,8 @@ def take_into_window(
     if window.count == 0:
         for i in range(contacts):
             states[i].alpha = alpha[i]
-            states[i].filtered = (
-                window.gain * (1.0 - window.zero) / (1.0 - window.pole) * alpha[i]
-            )
+            rest_gain = window.gain * (1.0 - window.zero) / (1.0 - window.pole)
+            states[i].filtered = rest_gain * alpha[i]
     for i in range(contacts):
         state = states[i]
         state.filtered = window.pole * state.filtered + window.gain * (
@@ -117,7 +115,9 @@ def take_into_window(
         state.alpha = alpha[i]
         samples[window.count % length, i] = state.filtered
     window.count += 1
-    for i in range(contacts if window.count >= length else 0):
+    if window.count < length:
+        return True
+    for i in range(contacts):
         total = 0.0
         for k in range(length):
             total += samples[k, i]
@@ -134,7 +134,8 @@ class Window(NoiseEstimator):
     """The variance of the force itself over the window, known once the window is full."""
 
     def _forget(self) -> None:
-        config, design = self.config, self._design()
+        config = self.config
+        design = self._design()
         self._window = np.zeros(1, dtype=NOISE_WINDOW)
         for name in ('pole', 'zero', 'gain'):
             self._window[name] = getattr(design, name)

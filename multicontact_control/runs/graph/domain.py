@@ -13,14 +13,22 @@ import tempfile
 from multicontact_control.errors import ConfigError, RunError
 import psutil
 
-LARGEST_DOMAIN = 101
-PORT_BASE, PORTS_PER_DOMAIN, FIRST_PARTICIPANT_OFFSET = 7400, 250, 10
-PARTICIPANTS, PORTS_PER_PARTICIPANT = 32, 2
+LARGEST_DOMAIN = 101  # whose ports all machines have
+# Of the UDP ports that DDS-RTPS gives the participants of a domain (OMG DDSI-RTPS 9.6.1).
+PORT_BASE = 7400
+PORTS_PER_DOMAIN = 250
+FIRST_PARTICIPANT_OFFSET = 10
+PORTS_PER_PARTICIPANT = 2
+PARTICIPANTS = 32  # that are looked for
 
 
 @contextlib.contextmanager
 def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
-    """Hold a ROS domain and yield it: without a number the first that is free; RunError."""
+    """
+    Hold a ROS domain and yield its number; without one, that of the first domain that is free.
+
+    Raises RunError if none from 0 to 101 is free on this machine.
+    """
     if domain_id is not None:
         yield domain_id
         return
@@ -40,18 +48,26 @@ def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
 
 
 def domain_in_use(domain_id: int) -> bool:
-    """Return whether a participant listens on a port that DDS gives the first ones of a domain."""
+    """
+    Return whether a participant of a domain is on this machine.
+
+    It then listens on one of the UDP ports that DDS gives the first participants of the domain.
+    """
     first = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
-    ports = range(
-        first, first + PORTS_PER_PARTICIPANT * PARTICIPANTS, PORTS_PER_PARTICIPANT
-    )
-    return any(
-        end.laddr and end.laddr.port in ports for end in psutil.net_connections('udp')
-    )
+    behind_last = first + PORTS_PER_PARTICIPANT * PARTICIPANTS
+    ports = range(first, behind_last, PORTS_PER_PARTICIPANT)
+    for connection in psutil.net_connections('udp'):
+        if connection.laddr and connection.laddr.port in ports:
+            return True
+    return False
 
 
 def check_namespace(namespace: str) -> str:
-    """Return a namespace without the slashes around it; ConfigError if ROS does not accept it."""
+    """
+    Return a namespace without the slashes around it; ConfigError if ROS does not accept it.
+
+    An empty one stays empty: the topics of the graph are then at the root.
+    """
     bare = namespace.strip('/')
     if bare and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', bare, re.ASCII):
         raise ConfigError(

@@ -8,6 +8,7 @@ Loading its modules takes a node one to three seconds of a processor; the fork s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import contextlib
 from importlib import import_module
 import multiprocessing
 from multiprocessing import forkserver
@@ -30,21 +31,21 @@ CONTEXT = multiprocessing.get_context('forkserver')
 
 
 def prepare_nodes() -> None:
-    """Begin to load the nodes' modules in the fork server; call it in the main thread."""
+    """
+    Begin to load the nodes' modules in the fork server; call it in the main thread.
+
+    It returns at once: the server loads them while this process goes on.
+    """
     limit_threads()
     CONTEXT.set_forkserver_preload(list(MODULES.values()))
     # Inherited by the server: a run stops its nodes in order, also when its terminal closes.
-    handlers = {
-        x: signal.signal(x, signal.SIG_IGN) for x in (signal.SIGHUP, signal.SIGINT)
-    }
-    folder = os.getcwd()
-    os.chdir(
-        sys.prefix
-    )  # its modules would come from a checkout in which it is started
-    forkserver.ensure_running()
-    os.chdir(folder)
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
+    at_hangup = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    at_interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Its modules would come from a checkout in which it is started.
+    with contextlib.chdir(sys.prefix):
+        forkserver.ensure_running()
+    signal.signal(signal.SIGHUP, at_hangup)
+    signal.signal(signal.SIGINT, at_interrupt)
 
 
 def start_node(
@@ -57,11 +58,23 @@ def start_node(
     """
     Start the `main` of a node's module in a process of its own, and return that.
 
-    `environment` are all its variables, `log` takes its output, `title` follows its name in lists.
+    Parameters
+    ----------
+    module
+        Dotted name of the module.
+    arguments
+        Its command line, without the name of the programme.
+    environment
+        All its environment variables.
+    log
+        File that its output is appended to.
+    title
+        What follows its name in the list of processes.
+
     """
     prepare_nodes()
     process = CONTEXT.Process(
-        target=_run,
+        target=_become_node,
         args=(module, list(arguments), dict(environment), str(log), title),
         daemon=True,
     )
@@ -69,13 +82,14 @@ def start_node(
     return process
 
 
-def _run(
+def _become_node(
     module: str,
     arguments: list[str],
     environment: dict[str, str],
     log: str,
     title: str,
 ) -> None:
+    """Become the node: in the forked process, which still is a copy of the server."""
     from setproctitle import setproctitle
 
     name = module.rpartition('.')[2]

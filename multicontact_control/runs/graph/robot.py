@@ -11,140 +11,159 @@ from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import ignore_message, take_message
 from multicontact_control.nodes.link import ServiceClientNode
 
-OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
+OWN_NODES = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
 UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
+QUEUE_DEPTH = 100  # messages
 
 
 @dataclass(frozen=True)
-class Robot:
-    """What is expected behind the topics, and for how long."""
+class ExpectedRobot:
+    """What is expected behind the topics of the user's own robot, and for how long."""
 
     joint_names: Sequence[str]  # that it has, among others
-    wrench_input: str = (
-        'raw'  # which wrench the controller reads: raw, filtered or momentum
-    )
-    effort_output_topic: str = (
-        ''  # that it takes efforts from instead of joint_effort_command
-    )
+    wrench_input: str = 'raw'  # that the controller reads: raw, filtered or momentum
+    effort_output_topic: str = ''  # that it obeys instead of joint_effort_command
     timeout: float = 12.0  # time without a message after which it counts as gone [s]
-    duration: float | None = (
-        None  # of the run by its stamps [s]; None until a signal comes
-    )
+    duration: float | None = None  # of the run by its stamps [s]; None for no end
 
 
-class _Stream:
-    """What has come on one topic; of joint states, those without the robot's joints are apart."""
+class _InputStream:
+    """What has come on one topic of the robot; of joint states, only those with its joints."""
 
-    def __init__(self, subscription: Any, joints: Sequence[str]) -> None:
-        self.subscription, self._joints = subscription, joints
-        self.newest: Any = None
-        self.other: Any = None  # the newest message, if it lacks joints
-        self.at = time.monotonic()  # of the newest
-        self.publisher = 'the robot'  # its node, once it is known
+    def __init__(
+        self, node: Any, topic: topics.Topic, expected_names: Sequence[str]
+    ) -> None:
+        self._node = node
+        self._topic = topic
+        self._expected_names = expected_names
+        self._subscription = node.create_subscription(
+            topic.message,
+            topic.name,
+            ignore_message,
+            qos.make_profile(QUEUE_DEPTH, reliable=False),
+        )
+        self._received = False
+        self._received_at = time.monotonic()  # when the newest whole message came
+        self._incomplete: Any = None  # the newest message, if it lacks joints
+        self._source = ''  # names of the nodes that publish it, once they are known
+        self.name = node.resolve_topic_name(topic.name)
 
-    def lacking(self, message: Any) -> list[str]:
-        return [name for name in self._joints if name not in message.name]
+    @property
+    def source(self) -> str:
+        """Return which node publishes the topic, in words."""
+        return self._source or 'the robot'
 
-    def poll(self) -> None:
-        while (taken := take_message(self.subscription)) is not None:
-            if self.lacking(taken[0]):
-                self.other = taken[0]
-                continue
-            self.newest, self.other, self.at = taken[0], None, time.monotonic()
+    def take_messages(self) -> None:
+        """Take what has come."""
+        while True:
+            taken = take_message(self._subscription)
+            if taken is None:
+                break
+            message = taken[0]
+            if self._missing_joints(message):
+                self._incomplete = message
+            else:
+                self._received = True
+                self._received_at = time.monotonic()
+                self._incomplete = None
+        if self._received and not self._source:
+            self._source = self._publisher_names()
+
+    def _missing_joints(self, message: Any) -> list[str]:
+        return [name for name in self._expected_names if name not in message.name]
+
+    def _publisher_names(self) -> str:
+        """Return the names of the nodes that publish the topic, as far as they are known yet."""
+        ends = self._node.get_publishers_info_by_topic(self.name)
+        return ', '.join(sorted({end.node_name for end in ends} - {UNNAMED}))
+
+    def describe_missing(self) -> str:
+        """Return why no whole message has come yet, empty if one has."""
+        if self._received:
+            return ''
+        if self._incomplete is not None:
+            joints = ', '.join(self._missing_joints(self._incomplete))
+            names = ', '.join(self._incomplete.name) or 'no names'
+            return f'the joints {joints} in {self.name}, which has {names}'
+        publishers = self._publisher_names()
+        if publishers:
+            return f'{self.name} from {publishers}, which publishes nothing yet'
+        return (
+            f'{self.name} ({self._topic.type_name}) from the robot: it has no publisher'
+        )
+
+    def describe_silence(self, timeout: float) -> str:
+        """Return that nothing has come for a time [s], and from whom; empty if something has."""
+        age = time.monotonic() - self._received_at
+        if age <= timeout:
+            return ''
+        name = self.name
+        if self._incomplete is not None:
+            name += ' of its joints'
+        return f'{self.source} has not published {name} for {age:.1f} s'
 
 
 class RobotWatch(ServiceClientNode):
-    """Listens to the topics of a `robot`."""
+    """
+    A node that listens to the topics of an expected robot.
 
-    def __init__(self, domain_id: int, namespace: str, robot: Robot) -> None:
+    It says what keeps a run from beginning, and later what has fallen silent. It reads the joint
+    states, and the wrench that the controller reads, if any.
+    """
+
+    def __init__(self, domain_id: int, namespace: str, robot: ExpectedRobot) -> None:
         super().__init__('robot_watch', domain_id, namespace)
         self._robot = robot
-        self._streams = {
-            topic: _Stream(
-                self.node.create_subscription(
-                    topic.message,
-                    topic.name,
-                    ignore_message,
-                    qos.make_profile(100, reliable=False),
-                ),
-                robot.joint_names if topic is topics.JOINT_STATES else (),
-            )
-            for topic in (topics.JOINT_STATES, topics.WRENCHES.get(robot.wrench_input))
-            if topic
-        }
-
-    def poll(self) -> None:
-        """Take what has come."""
-        for topic, stream in self._streams.items():
-            stream.poll()
-            if (
-                stream.newest
-                and stream.publisher == 'the robot'
-                and (names := self._publishers(topic))
-            ):
-                stream.publisher = names
-
-    def _full(self, name: str) -> str:
-        return self.node.resolve_topic_name(name)
-
-    def _publishers(self, topic: topics.Topic) -> str:
-        """Return the names of the nodes that publish a topic, as far as they are known yet."""
-        endpoints = self.node.get_publishers_info_by_topic(self._full(topic.name))
-        return ', '.join(sorted({info.node_name for info in endpoints} - {UNNAMED}))
-
-    def missing(self) -> str:
-        """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
-        self.poll()
-        lines = [
-            self._missing_of(topic, stream) for topic, stream in self._streams.items()
+        self._streams = [
+            _InputStream(self.node, topics.JOINT_STATES, robot.joint_names)
         ]
-        efforts = [
-            self._full(name)
-            for name in (topics.EFFORT_COMMAND.name, self._robot.effort_output_topic)
-            if name
-        ]
-        readers = {
-            info.node_name
-            for name in efforts
-            for info in self.node.get_subscriptions_info_by_topic(name)
-        }
-        if not readers - {*OURS, UNNAMED}:
-            lines.append(
-                f'a subscriber of {" or ".join(efforts)} (the robot is to apply these '
-                'efforts)'
-            )
-        return '; '.join(filter(None, lines))
+        wrench = topics.WRENCHES.get(robot.wrench_input)
+        if wrench is not None:
+            self._streams.append(_InputStream(self.node, wrench, ()))
 
-    def _missing_of(self, topic: topics.Topic, stream: _Stream) -> str:
-        name = self._full(topic.name)
-        if stream.newest is not None:
+    def describe_missing(self) -> str:
+        """
+        Return what is missing of the robot and from whom, in one line; empty if nothing is.
+
+        It needs publishers of its joints and of the wrench, and a subscriber of the efforts.
+        """
+        lines = []
+        for stream in self._streams:
+            stream.take_messages()
+            lines.append(stream.describe_missing())
+        lines.append(self._describe_missing_reader())
+        return '; '.join(line for line in lines if line)
+
+    def _describe_missing_reader(self) -> str:
+        """Return that no node of the robot reads the efforts, empty if one does."""
+        names = [topics.EFFORT_COMMAND.name]
+        if self._robot.effort_output_topic:
+            names.append(self._robot.effort_output_topic)
+        names = [self.node.resolve_topic_name(name) for name in names]
+        readers = set()
+        for name in names:
+            for end in self.node.get_subscriptions_info_by_topic(name):
+                readers.add(end.node_name)
+        if readers - {*OWN_NODES, UNNAMED}:
             return ''
-        if stream.other is not None:
-            return (
-                f'the joints {", ".join(stream.lacking(stream.other))} in {name}, which has '
-                f'{", ".join(stream.other.name) or "no names"}'
-            )
-        if publishers := self._publishers(topic):
-            return f'{name} from {publishers}, which publishes nothing yet'
-        return f'{name} ({topic.type_name}) from the robot: it has no publisher'
+        return f'a subscriber of {" or ".join(names)} (the robot is to apply these efforts)'
 
-    def silent(self) -> str:
-        """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""
-        self.poll()
-        for topic, stream in self._streams.items():
-            age = time.monotonic() - stream.at
-            if age > self._robot.timeout:
-                of = '' if stream.other is None else ' of its joints'
-                return (
-                    f'{stream.publisher} has not published {self._full(topic.name)}{of} for '
-                    f'{age:.1f} s'
-                )
+    def describe_silence(self) -> str:
+        """
+        Return which topic has not come for the robot's `timeout`, and from whom.
+
+        It is empty as long as all of them come.
+        """
+        for stream in self._streams:
+            stream.take_messages()
+            silence = stream.describe_silence(self._robot.timeout)
+            if silence:
+                return silence
         return ''
 
     @property
     def sources(self) -> str:
-        """Say which nodes publish the robot's topics."""
+        """Say which nodes publish the robot's topics, as far as they are known."""
         return ', '.join(
-            f'{self._full(topic.name)} from {stream.publisher}'
-            for topic, stream in self._streams.items()
+            f'{stream.name} from {stream.source}' for stream in self._streams
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
-from multicontact_control.runs.graph.robot import Robot
+from multicontact_control.runs.graph.robot import ExpectedRobot
 
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
@@ -21,39 +21,35 @@ class GraphSpec:
     """What to run; with a `robot` there is no simulator, and `ticks`, `seed`, `speed` are void."""
 
     out: Path  # folder of the run, which exists
-    parameter_files: Mapping[
-        str, Path
-    ]  # by node name; a node without one gets its defaults
+    parameter_files: Mapping[str, Path]  # by node; one without a file has its defaults
     ticks: int  # samples until the run ends, 0 for a signal to end it
     rate: float  # control rate [Hz]
-    free_running: bool = (
-        False  # whether the plant does not wait for commands, as a robot
-    )
+    free_running: bool = False  # the plant does not wait for commands, as a robot
     speed: float = 1.0  # simulated time per wall time at most; 0 for as fast as it goes
     seed: int = 0  # of the plant
-    reference_file: Path | None = (
-        None  # scenario; without it the command topics are obeyed
-    )
+    reference_file: Path | None = None  # scenario; None to obey the command topics
     domain_id: int | None = None  # by default the first one without participants
     namespace: str = ''  # of all nodes, topics and services, without a leading slash
     # More parameters by node name, over those of its file; other names of topics, likewise.
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    realtime: bool = (
-        False  # whether the nodes that control ask for priority, and keep memory
-    )
-    robot: Robot | None = None
+    realtime: bool = False  # the nodes that control ask for priority, and keep memory
+    robot: ExpectedRobot | None = None
     recorded: bool = True  # whether a recorder is among the nodes
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """Names of all nodes, in the order in which they are started."""
-        absent = [RECORDER] * (not self.recorded) + [SIM] * (self.robot is not None)
+        """Names of all nodes of the graph, in the order in which they are started."""
+        absent = set()
+        if not self.recorded:
+            absent.add(RECORDER)
+        if self.robot is not None:
+            absent.add(SIM)
         return tuple(name for name in START_ORDER if name not in absent)
 
     @property
     def bag(self) -> Path:
-        """Folder of the recording."""
+        """Folder of the recording, which the recorder makes."""
         return self.out / 'bag'
 
     @property
@@ -67,7 +63,14 @@ def node_arguments(
     spec: GraphSpec,
     overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
-    """Return the command line of a node; `overrides` are parameters over those of the graph."""
+    """
+    Return the command line of a node: namespace, parameter file, remappings and parameters.
+
+    `overrides` are parameters laid over those of the graph, as for a node that is started anew.
+    """
+    parameters = node_parameters(name, spec)
+    if overrides is not None:
+        parameters |= overrides
     # The output is in the log of the run already.
     arguments = ['--ros-args', '--disable-external-lib-logs']
     if spec.namespace:
@@ -76,22 +79,28 @@ def node_arguments(
         arguments += ['--params-file', str(spec.parameter_files[name].resolve())]
     for topic, other in spec.remappings.get(name, {}).items():
         arguments += ['-r', f'{topic}:={other}']
-    for key, value in {**node_parameters(name, spec), **(overrides or {})}.items():
+    for key, value in parameters.items():
         arguments += ['-p', f'{key}:={json.dumps(value)}']  # JSON keeps 500.0 a double
     return arguments
 
 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
-    """Return the parameters that belong to the run, not to a file."""
+    """
+    Return the parameters of a node that belong to the run, and to no file.
+
+    Where it writes its counts, whom it waits for, how time passes, what it plays or records;
+    `extra_parameters` of the graph come last.
+    """
     values: dict[str, Any] = {
         'timing_file': str((spec.logs / f'{name}.json').resolve()),
         'startup_peers': list(spec.nodes),
     }
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
-        bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
-        if bare:
-            values['effort_output_topic'] = bare
+        of_controller = spec.extra_parameters.get(CONTROLLER, {})
+        efforts = of_controller.get('effort_output_topic')
+        if efforts:
+            values['effort_output_topic'] = efforts
     if name == SIM:
         values |= {
             'ticks': spec.ticks,

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Matrix
-from multicontact_control.commissioning.law_report import contact_loop
+from multicontact_control.commissioning.law_report import closed_loop_matrix
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.controller import Controller
@@ -184,7 +184,7 @@ class ArmLoop:
         state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
         N = normal_space(Controller(config, robot).contacts, state.pose.rotation_world)
         observer = design_law(
-            config.law_of(names[0]),
+            config.force_law_of(names[0]),
             config.force,
             make_loop_model(config, config.contacts[names[0]].stiffness),
         )
@@ -235,7 +235,7 @@ class ArmLoop:
 
         def is_stable(ratio: float) -> bool:
             if of_paper:
-                loop = contact_loop(law, model, ratio)
+                loop = closed_loop_matrix(law, model, ratio)
             else:
                 arm = margins.LinearArmPlant(
                     self.mobility,

@@ -11,7 +11,7 @@ from multicontact_control.commissioning.law_report import write_preset
 from multicontact_control.config import merge, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import find_config_folder
-from multicontact_control.runs.overrides import overrides_of
+from multicontact_control.runs.overrides import nest_overrides
 from multicontact_control.runs.scenario import preset_values
 from multicontact_control.study.cells import Cell, cells_with_seeds
 from multicontact_control.study.config import FactorConfig, StudyConfig
@@ -103,7 +103,7 @@ class TuneStudy(Study):
             return
         law = self.config.law
         first = results.cells[0]
-        gains = overrides_of(best, first.job.setup(), 'gains.')
+        gains = nest_overrides(best, first.job.setup(), 'gains.')
         plants = ', '.join(results.frame['plant'].unique())
         write_preset(
             merge(preset_values(self.preset), gains),

@@ -6,7 +6,7 @@ from fake_arm import wrench_message
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore_message
 from multicontact_control.nodes.link import ServiceClientNode
-from multicontact_control.runs.graph.robot import Robot, RobotWatch
+from multicontact_control.runs.graph.robot import ExpectedRobot, RobotWatch
 import pytest
 from ros_graph import wait_for
 
@@ -45,46 +45,52 @@ def wait_until(watch, robot, condition, **published):
         robot.publish(**published)
         return condition(watch)
 
-    return wait_for(seen, 'what the watch says', watch.missing)
+    return wait_for(seen, 'what the watch says', watch.describe_missing)
 
 
 def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(domain_id):
-    with RobotWatch(domain_id, '', Robot(JOINTS, timeout=0.2)) as watch:
+    with RobotWatch(domain_id, '', ExpectedRobot(JOINTS, timeout=0.2)) as watch:
         for topic in ('/joint_states', '/ft_sensor/wrench', '/joint_effort_command'):
-            assert topic in watch.missing()
+            assert topic in watch.describe_missing()
         with (
             closing(Publisher(domain_id)) as robot,
             closing(Publisher(domain_id)) as gripper,
         ):
             wait_until(
-                watch, robot, lambda it: 'joints b in' in it.missing(), names=('a', 'c')
+                watch,
+                robot,
+                lambda it: 'joints b in' in it.describe_missing(),
+                names=('a', 'c'),
             )
             wait_until(
-                watch, robot, lambda it: it.missing().startswith('a subscriber of')
+                watch,
+                robot,
+                lambda it: it.describe_missing().startswith('a subscriber of'),
             )
             robot.listen()
             for _ in range(
                 20
             ):  # joints of others are not the robot's; velocities may lack
                 gripper.publish(names=('finger',))
-                wait_until(watch, robot, lambda it: not it.missing())
+                wait_until(watch, robot, lambda it: not it.describe_missing())
             wait_until(
                 watch,
                 robot,
                 lambda it: it.sources.startswith('/joint_states from their_robot'),
             )
             wait_for(
-                lambda: gripper.publish(names=('finger',)) or watch.silent(), 'silence'
+                lambda: gripper.publish(names=('finger',)) or watch.describe_silence(),
+                'silence',
             )
-            assert 'has not published /joint_states' in watch.silent()
+            assert 'has not published /joint_states' in watch.describe_silence()
 
 
 def test_robot_without_a_wrist_sensor_needs_none(domain_id):
-    expected = Robot(JOINTS, wrench_input='momentum')
+    expected = ExpectedRobot(JOINTS, wrench_input='momentum')
     with (
         RobotWatch(domain_id, '', expected) as watch,
         closing(Publisher(domain_id)) as robot,
     ):
-        assert 'wrench' not in watch.missing()
+        assert 'wrench' not in watch.describe_missing()
         robot.listen()
-        wait_until(watch, robot, lambda it: not it.missing())
+        wait_until(watch, robot, lambda it: not it.describe_missing())
