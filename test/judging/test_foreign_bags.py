@@ -233,7 +233,7 @@ def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
     run = RunMetrics(data, setup)
     assert run.contacts[0].step_responses == []
     assert not run.windows.loaded[part].any()
-    assert judge_run(data, setup, missing=find_gaps(data)).unjudged.startswith(
+    assert judge_run(RunMetrics(data, setup, find_gaps(data))).unjudged.startswith(
         'no samples from '
     )
 
@@ -242,7 +242,7 @@ def test_force_that_is_not_known_for_a_while_is_not_judged(tmp_path):
     run = load(write_bag(tmp_path / 'bag', without=()))
     for series in (run.data.alpha_true, run.data.alpha_meas):
         series[(run.data.time > 2.0) & (run.data.time < 2.3)] = np.nan
-    assert judge_run(run.data, run.setup).unjudged == (
+    assert judge_run(RunMetrics(run.data, run.setup)).unjudged == (
         'wall: no force from 2.01 to 2.30 s; what is there passed no limit'
     )
 
