@@ -126,10 +126,10 @@ def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float
     """Return the largest mean error over 12 ms of the first force around that time [N]."""
     if gone is None:
         return None
-    leaves, _ = gone
+    leaves, returns = gone
     time = run.data.time
     count = round(MEAN_TIME * run.data.rate)
-    error = run.contacts[0].error[(time >= leaves) & (time < leaves + 1.0)]
+    error = run.contacts[0].error[(time >= leaves) & (time < returns + 1.0)]
     if len(error) < count:  # the run ended before
         return None
     means = np.convolve(error, np.full(count, 1.0 / count), 'valid')
