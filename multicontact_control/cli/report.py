@@ -43,7 +43,6 @@ def report(
     """
     from multicontact_control.judging.claims import judge_claims_of_run
     from multicontact_control.judging.display import print_claims
-    from multicontact_control.judging.metrics import RunMetrics
     from multicontact_control.judging.report import write_report
     from multicontact_control.judging.results import load
     from multicontact_control.judging.run_folders import (
@@ -67,8 +66,7 @@ def report(
         for line in (describe_verdict(run.summary), quality, *remarks):
             if line:
                 typer.echo(f'{run.folder}: {line}')
-        metrics = RunMetrics(run.data, run.setup)
-        judged = judge_claims_of_run(metrics, run.summary, any_scenario=claims)
+        judged = judge_claims_of_run(run.metrics, run.summary, any_scenario=claims)
         if judged:
             console = Console(highlight=False, soft_wrap=True)
             print_claims(console, [claim._asdict() for claim in judged])

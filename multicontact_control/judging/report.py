@@ -68,7 +68,7 @@ def write_report(
         ) from None
     figures = out / FIGURE_FOLDER
     names = _name_runs(runs)
-    metrics = [RunMetrics(run.data, run.setup) for run in runs]
+    metrics = [run.metrics for run in runs]
     paths = []
     parts = []
     title = describe_run(runs[0].summary)

@@ -68,6 +68,11 @@ class LoadedRun(NamedTuple):
     data: recording.RunData
     summary: dict[str, Any]
 
+    @property
+    def metrics(self) -> RunMetrics:
+        """The metrics of the run, made anew."""
+        return RunMetrics(self.data, self.setup)
+
 
 def load_setup(folder: Path) -> Setup:
     """

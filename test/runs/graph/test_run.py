@@ -10,7 +10,6 @@ from canonical_runs import run_of
 from multicontact_control.client import CommandRefusedError, MultiContactClient
 from multicontact_control.errors import RunError
 from multicontact_control.judging.claims import judge_claims_of_run
-from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.results import load_run
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.topics import (
@@ -267,11 +266,7 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
     assert summary['contacts']['table']['rest']['true_error_rms_n'] < 0.1
     run = load_run(out)
     # No scenario was played.
-    assert (
-        summary['claims']
-        == judge_claims_of_run(RunMetrics(run.data, run.setup), run.summary)
-        == []
-    )
+    assert summary['claims'] == judge_claims_of_run(run.metrics, run.summary) == []
     assert run.data.command[-1].tolist() == [10.0, 5.0]
     assert run.setup.scenario.duration == pytest.approx(run.data.ticks / run.data.rate)
 
