@@ -63,14 +63,14 @@ BUDGETS = {
     'nodes': 27_500,
     'runs': 16_700,
     'judging': 21_900,
-    'commissioning': 6_700,
+    'commissioning': 6_600,
     'faults': 11_700,
     'study': 16_500,
     'view': 19_700,
     'cli': 5_900,
     'sim_bridge': 30_000,
     'test': 158_900,
-    'test/campaign': 8_700,
+    'test/campaign': 9_100,
     'benchmarks': 3_200,
 }
 MOST_COMPILED = 146  # functions

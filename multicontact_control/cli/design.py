@@ -50,17 +50,15 @@ def design(
     """
     from multicontact_control.commissioning import law_report
 
-    softest, stiffest = model.stiffness
     result = law_report.design_for_range(
         law,
+        stiffness=model.stiffness,
         input_delay=model.input_delay,
-        softest=softest,
-        stiffest=stiffest,
         noise_variance=model.noise,
         damping_rate=model.damping_rate,
         period=1.0 / model.rate,
     )
-    typer.echo(law_report.show_design(result))
+    typer.echo(law_report.describe_design(result))
     if out is not None:
         law_report.write_design(result, out)
         typer.echo(f'written to {out}')

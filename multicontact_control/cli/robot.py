@@ -132,7 +132,7 @@ def calibrate(
         )
         result = weighing.weigh_recording(from_bag, files, place.namespace, typer.echo)
     path = weighing.write_tool(out, result)
-    typer.echo('\n'.join([*weighing.describe(result), f'written to {path}']))
+    typer.echo('\n'.join([*weighing.describe_tool(result), f'written to {path}']))
 
 
 @options.flatten_options
@@ -143,7 +143,7 @@ def push_test(place: options.PlaceOptions) -> None:
     Starts the push test of the running controller and prints where to push the tool: with a spring
     balance, or, if it is simulated, on the page of `view --graph` or by the topic sim_node/push.
     """
-    from multicontact_control.commissioning.guided_push_test import push_running
+    from multicontact_control.commissioning.guided_push_test import lead_push_test
 
-    if not push_running(typer.echo, place.namespace or '', place.domain_id):
+    if not lead_push_test(typer.echo, place.namespace or '', place.domain_id):
         raise typer.Exit(options.EXIT_FAILED)

@@ -32,11 +32,14 @@ from scipy.stats import linregress, median_abs_deviation
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
 LONGEST_DELAY = 0.02  # s
 DELAY_STEP = 1e-4  # s, in which the delay is looked for
+PARABOLA_STEPS = (
+    5  # of the delay to either side of the best, that its error is taken from
+)
 LEAST_SAMPLES = 50
-APART = 0.1  # s, between the samples of two steps
-SIGNALS = ('way', 'rate', 'friction', 'force')  # z, v, w and alpha of a `STIFFNESS_FIT`
-# Of the unknowns: the largest values, with 0 as the least.
-LARGEST = {
+LEAST_STEP_GAP = 0.1  # s, between the accepted samples of two steps
+FIT_SIGNALS = ('way', 'rate', 'friction', 'force')  # of a `STIFFNESS_FIT`
+# The unknowns of the fit with their largest values; the least are 0.
+LARGEST_VALUES = {
     'stiffness_n_m': math.inf,
     'damping_n_s_m': math.inf,
     'tool_mass_kg': math.inf,
@@ -44,20 +47,30 @@ LARGEST = {
 }
 # Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
 # independent ones; of white noise neighbouring changes have a value in common.
-SCATTER = 6.6
-# Of each result: text, unit, scale and digits.
-TEXTS = {
-    'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0),
-    'damping_n_s_m': ('damping', 'N s/m', 1.0, 1),
-    'friction': ('friction of the others', '', 1.0, 3),
-    'tool_mass_kg': ('tool', 'kg', 1.0, 3),
-    'noise_variance_n2': ('noise variance at rest', 'N^2', 1.0, 5),
-    'delay_s': ('delay', 'ms', 1e3, 2),
+NOISE_SCATTER = 6.6
+
+
+class ResultText(NamedTuple):
+    """How a result is shown."""
+
+    name: str
+    unit: str
+    digits: int
+    scale: float = 1.0
+
+
+RESULT_TEXTS = {
+    'stiffness_n_m': ResultText('stiffness', 'N/m', 0),
+    'damping_n_s_m': ResultText('damping', 'N s/m', 1),
+    'friction': ResultText('friction of the others', '', 3),
+    'tool_mass_kg': ResultText('tool', 'kg', 3),
+    'noise_variance_n2': ResultText('noise variance at rest', 'N^2', 5),
+    'delay_s': ResultText('delay', 'ms', 2, scale=1e3),
 }
 
 
 class ContactSignals(NamedTuple):
-    """Signals of one contact, row k of sample k: shapes (m,)."""
+    """Signals of one contact, row k of sample k: shapes (m,); NaN where one is missing."""
 
     alpha: Vector  # measured force [N]
     alpha_des: Vector  # desired one [N]
@@ -72,10 +85,27 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     """
     Identify the contacts of a recording; the true forces are not used.
 
-    Returns by contact the unknowns of `TEXTS`, each a mapping of `value` and `std`, its standard
-    error, infinite from a single step, or None where the data cannot tell; `samples`, their
-    number, and `explained`, the share of their variance. Raises ConfigError if the arm is not
-    known or has no wrist sensor, RunError if no contact has a step of its command.
+    Parameters
+    ----------
+    data
+        A recording with force steps.
+    setup
+        What it was made with; the controller's configuration with its arm is used.
+
+    Returns
+    -------
+    dict
+        By contact the unknowns of `RESULT_TEXTS`, each a mapping of `value` and `std`, its
+        standard error, infinite from a single step, or None where the data cannot tell;
+        `samples`, their number, and `explained`, the share of their variance.
+
+    Raises
+    ------
+    ConfigError
+        If the arm is not known or has no wrist sensor.
+    RunError
+        If no contact has a step of its command.
+
     """
     config = setup.controller
     if not config.robot.urdf:
@@ -91,9 +121,10 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
             'raw or filtered: the forces of a wrist sensor',
             config.wrench_input,
         )
-    signals = contact_signals(data, config, setup.urdf_dir)
+    signals = collect_signals(data, config, setup.urdf_dir)
     contacts = {
-        name: _identify(signal, config.period) for name, signal in signals.items()
+        name: _identify_contact(signal, config.period)
+        for name, signal in signals.items()
     }
     if all(contact['stiffness_n_m'] is None for contact in contacts.values()):
         raise RunError(
@@ -103,108 +134,107 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     return contacts
 
 
-def contact_signals(
-    data: RunData,
-    config: ControllerConfig,
-    base_dir: Path,
+def collect_signals(
+    data: RunData, config: ControllerConfig, base_dir: Path
 ) -> dict[str, ContactSignals]:
-    """Return the signals of every contact's normal force."""
+    """Return the signals of every contact's normal force; `base_dir` is that of the URDF."""
     names = config.column_names
     controller = Controller(config, RobotModel(config.robot, base_dir))
-    contacts, frame = controller.contacts, controller.controls[0]['frame']
+    contacts = controller.contacts
+    frame = controller.controls[0]['frame']
     wrench = getattr(data, config.wrench_series)
-    signals = np.full((len(ContactSignals._fields), len(names), data.ticks), np.nan)
-    signals[1] = np.nan_to_num(data.alpha_des.T)
-    for k in range(data.ticks):
-        if not np.isfinite(
-            [*data.q[k], *data.qd[k], *wrench[k], *data.torque[k]]
-        ).all():
-            continue
+    readings = np.hstack([data.q, data.qd, wrench, data.torque])
+    signals = np.full((data.ticks, len(ContactSignals._fields), len(names)), np.nan)
+    signals[:, 1] = np.nan_to_num(data.alpha_des)
+    for k in np.flatnonzero(np.isfinite(readings).all(axis=1)):
         controller.take_sample(data.q[k], data.qd[k], wrench[k])
-        twist, levers = (
-            frame['twist'],
-            contacts['config']['point'] @ frame['rotation'].T,
-        )
-        signals[0, :, k], signals[2, :, k] = (
-            contacts['alpha_meas'],
-            contacts['N'] @ twist,
-        )
-        signals[3, :, k] = np.linalg.norm(
-            twist[:3] + np.cross(twist[3:], levers), axis=1
-        )
-        signals[4, :, k] = [
-            stiffness.friction_of_others(frame, contacts, i) for i in range(len(names))
-        ]
-        signals[5:, :, k] = _reactions(controller, data.torque[k])
-    return {names[i]: ContactSignals(*signals[:, i]) for i in config.force_columns}
+        twist = frame['twist']
+        levers = contacts['config']['point'] @ frame['rotation'].T
+        velocities = twist[:3] + np.cross(twist[3:], levers)
+        signals[k, 0] = contacts['alpha_meas']
+        signals[k, 2] = contacts['N'] @ twist
+        signals[k, 3] = np.linalg.norm(velocities, axis=1)
+        for i in range(len(names)):
+            signals[k, 4, i] = stiffness.friction_of_others(frame, contacts, i)
+        signals[k, 5:] = _find_accelerations(controller, data.torque[k])
+    return {names[i]: ContactSignals(*signals[:, :, i].T) for i in config.force_columns}
 
 
-def _reactions(controller: Controller, torque: Vector) -> Matrix:
-    """Return how torque, and all else, accelerates the contact points."""
-    terms, contacts = controller.robot.terms, controller.contacts
+def _find_accelerations(controller: Controller, torque: Vector) -> Matrix:
+    """Return how a torque, and all else, accelerates the contact points, shape (2, r) [m/s^2]."""
+    terms = controller.robot.terms
+    contacts = controller.contacts
     felt = terms.jacobian.T @ (contacts['N'].T @ contacts['alpha_meas'])
     torques = np.column_stack([torque, controller.arm.bias_torque + felt])
     # Of the mass matrix the upper half is known.
-    both = linalg.solve(terms.mass_matrix, torques, assume_a='pos')
-    reactions: Matrix = (contacts['N'] @ terms.jacobian @ both).T
-    return reactions
+    joint_accelerations = linalg.solve(terms.mass_matrix, torques, assume_a='pos')
+    accelerations: Matrix = (contacts['N'] @ terms.jacobian @ joint_accelerations).T
+    return accelerations
 
 
-def _identify(signal: ContactSignals, h: float) -> dict[str, Any]:
-    filtered, accepted = _band_passed(signal, h)
+def _identify_contact(signal: ContactSignals, h: float) -> dict[str, Any]:
+    """Return all that is identified of a contact; `h` is the control period [s]."""
+    filtered, accepted = _pass_band(signal, h)
     return {
         'samples': int(accepted.sum()),
-        **_fit(filtered, accepted, h),
-        'noise_variance_n2': noise_at_rest(signal),
-        'delay_s': _delay(signal, accepted, h),
+        **_fit_contact(filtered, accepted, h),
+        'noise_variance_n2': find_noise_at_rest(signal),
+        'delay_s': _find_delay(signal, accepted, h),
     }
 
 
-def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
-    """Return the unknowns with their errors, and what share they explain; None if too little."""
+def _fit_contact(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
+    """
+    Return the unknowns with their errors, and what share they explain; None if too little.
+
+    `filtered` has z, v, w, alpha and a as columns, shape (m, 5), of which the `accepted` rows are
+    used. The force is y = k z + b v + m a + mu w, of stiffness, damping, tool mass and friction.
+    """
     z, v, w, y, a = filtered[accepted].T
-    columns = np.column_stack(
-        [z, v, a] + ([w] if np.abs(w).max(initial=0.0) > stiffness.COMMAND_STEP else [])
-    )
-    count = columns.shape[1]
-    scale = np.linalg.norm(columns, axis=0)
-    if len(y) < LEAST_SAMPLES or np.linalg.matrix_rank(columns / scale, 1e-6) < count:
-        return dict.fromkeys((*LARGEST, 'explained'))
+    columns = [z, v, a]
+    if np.abs(w).max(initial=0.0) > stiffness.COMMAND_STEP:
+        columns.append(w)
+    X = np.column_stack(columns)
+    count = X.shape[1]
+    scale = np.linalg.norm(X, axis=0)
+    if len(y) < LEAST_SAMPLES or np.linalg.matrix_rank(X / scale, 1e-6) < count:
+        return dict.fromkeys((*LARGEST_VALUES, 'explained'))
+    X /= scale
+    largest = np.array(list(LARGEST_VALUES.values()))[:count] * scale
 
-    def solve(kept: Any) -> Vector:
-        largest = np.array(list(LARGEST.values()))[:count] * scale
-        return np.asarray(
-            lsq_linear(columns[kept] / scale, y[kept], (0.0, largest)).x / scale
-        )
+    def solve(X: Matrix, y: Vector) -> Vector:
+        return np.asarray(lsq_linear(X, y, (0.0, largest)).x)
 
-    values = solve(slice(None))
-    left = y - columns @ values
-    scatter = (
-        stiffness.CORRELATION
-        * float(left @ left)
-        / max(len(y) - count, 1)
-        * np.diag(np.linalg.inv((columns / scale).T @ (columns / scale)))
-        / scale**2
-    )
-    ends = np.flatnonzero(np.diff(np.flatnonzero(accepted)) > APART / h) + 1
-    steps = np.split(np.arange(len(y)), ends)
-    without = [
-        solve(np.delete(np.arange(len(y)), step)) for step in steps if len(steps) > 1
-    ]
-    of_model = (len(steps) - 1) * np.var(without, axis=0) if without else math.inf
-    estimates: dict[str, Any] = {
-        name: {'value': float(value), 'std': float(error)}
-        for name, value, error in zip(LARGEST, values, np.sqrt(scatter + of_model))
-    }
-    return (
-        dict.fromkeys(LARGEST)
-        | estimates
-        | {'explained': 1.0 - float(left @ left) / float(y @ y)}
-    )
+    scaled_values = solve(X, y)
+    residual = y - X @ scaled_values
+    power = float(residual @ residual)
+    freedom = max(len(y) - count, 1)
+    covariance = np.diag(np.linalg.inv(X.T @ X))
+    variance = stiffness.CORRELATION * power / freedom * covariance
+    gaps = np.flatnonzero(np.diff(np.flatnonzero(accepted)) > LEAST_STEP_GAP / h)
+    steps = np.split(np.arange(len(y)), gaps + 1)
+    if len(steps) > 1:
+        without_step = [
+            solve(np.delete(X, step, axis=0), np.delete(y, step)) for step in steps
+        ]
+        variance += (len(steps) - 1) * np.var(without_step, axis=0)
+    else:
+        variance += math.inf
+    values = scaled_values / scale
+    errors = np.sqrt(variance) / scale
+    result: dict[str, Any] = dict.fromkeys(LARGEST_VALUES)
+    for name, value, error in zip(LARGEST_VALUES, values, errors):
+        result[name] = {'value': float(value), 'std': float(error)}
+    result['explained'] = 1.0 - power / float(y @ y)
+    return result
 
 
-def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
-    """Return z, v, w, alpha and a behind the on-line estimate's band-pass, and what it takes."""
+def _pass_band(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
+    """
+    Return signals behind the band-pass of the on-line estimate, and the samples that it accepts.
+
+    The columns are z, v, w, alpha and the derivative a of v, shape (m, 5).
+    """
     record: stiffness.Stiffness = np.zeros(1, dtype=stiffness.STIFFNESS)[0]
     space: stiffness.FitSpace = np.zeros(1, dtype=stiffness.FIT_SPACE)[0]
     record['config']['period'] = h
@@ -217,85 +247,88 @@ def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
         if not math.isfinite(alpha):
             record['felt'] = False  # a gap: the filters begin anew
             continue
-        before, weight = float(fit['rate']['passed']), float(fit['weight'])
+        rate_before = float(fit['rate']['passed'])
+        weight_before = float(fit['weight'])
         stiffness.estimate_stiffness(record, alpha, alpha_des, speed, friction, space)
-        filtered[k, :4] = [fit[name]['passed'] for name in SIGNALS]
-        filtered[k, 4] = (filtered[k, 1] - before) / h
-        accepted[k] = fit['weight'] > weight
+        filtered[k, :4] = [fit[name]['passed'] for name in FIT_SIGNALS]
+        filtered[k, 4] = (filtered[k, 1] - rate_before) / h
+        accepted[k] = fit['weight'] > weight_before
     return filtered, accepted
 
 
-def noise_at_rest(signal: ContactSignals) -> dict[str, float] | None:
-    """Return the variance of the force at rest, not in sliding, from its changes."""
+def find_noise_at_rest(signal: ContactSignals) -> dict[str, float] | None:
+    """
+    Return the variance of the force at rest, not in sliding, from its changes [N^2].
+
+    It has `value` and `std`, its standard error; None if there are fewer than 50 changes.
+    """
     quiet = (signal.motion < QUIET_SPEED) & (signal.alpha_des > 0.0)
-    both = quiet[1:] & quiet[:-1] & (np.diff(signal.alpha_des) == 0.0)
-    changes = np.diff(signal.alpha)[both]
+    held = np.diff(signal.alpha_des) == 0.0
+    changes = np.diff(signal.alpha)[quiet[1:] & quiet[:-1] & held]
     if len(changes) < LEAST_SAMPLES:
         return None
     # Of differences, whatever a step has left in them.
     variance = 0.5 * float(median_abs_deviation(changes, scale='normal')) ** 2
-    return {'value': variance, 'std': variance * math.sqrt(SCATTER / len(changes))}
+    error = variance * math.sqrt(NOISE_SCATTER / len(changes))
+    return {'value': variance, 'std': error}
 
 
-def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float] | None:
-    """Return after what time a commanded acceleration is best seen in the speed."""
-    times = np.flatnonzero(accepted[1:-1]) + 1
-    if len(times) < LEAST_SAMPLES:
+def _find_delay(
+    signal: ContactSignals, accepted: Mask, h: float
+) -> dict[str, float] | None:
+    """Return after what time a commanded acceleration is best seen in the speed [s], or None."""
+    samples = np.flatnonzero(accepted[1:-1]) + 1
+    if len(samples) < LEAST_SAMPLES:
         return None
-    measured = (signal.speed[times + 1] - signal.speed[times]) / h + signal.resisted[
-        times
-    ]
-    times, measured = times[np.isfinite(measured)], measured[np.isfinite(measured)]
-    known = np.flatnonzero(np.isfinite(signal.commanded))
+    changes = signal.speed[samples + 1] - signal.speed[samples]
+    measured = changes / h + signal.resisted[samples]
+    known = np.isfinite(measured)
+    samples = samples[known]
+    measured = measured[known]
+    commands = np.flatnonzero(np.isfinite(signal.commanded))
 
-    def explained(delay: float) -> float:
-        shifted = np.interp(times * h - delay, known * h, signal.commanded[known])
-        return float(linregress(shifted, measured).rvalue ** 2)
+    def find_unexplained(delay: float) -> float:
+        shifted = np.interp(
+            samples * h - delay, commands * h, signal.commanded[commands]
+        )
+        return 1.0 - float(linregress(shifted, measured).rvalue ** 2)
 
     delays = np.arange(0.0, LONGEST_DELAY, DELAY_STEP)
-    left = (
-        len(times)
-        * measured.var()
-        * (1.0 - np.array([explained(delay) for delay in delays]))
-    )
-    best = int(np.argmin(left))
+    power = len(samples) * measured.var()
+    residual = power * np.array([find_unexplained(delay) for delay in delays])
+    best = int(np.argmin(residual))
     if not 0 < best < len(delays) - 1:
         return None
-    near = slice(max(best - 5, 0), best + 6)
-    curvature = np.polyfit(delays[near] - delays[best], left[near], 2)[0]
-    variance = stiffness.CORRELATION * left[best] / len(times)
-    return {
-        'value': float(delays[best]),
-        'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf,
-    }
+    near = slice(max(best - PARABOLA_STEPS, 0), best + PARABOLA_STEPS + 1)
+    curvature = np.polyfit(delays[near] - delays[best], residual[near], 2)[0]
+    variance = stiffness.CORRELATION * residual[best] / len(samples)
+    error = math.sqrt(variance / curvature) if curvature > 0.0 else math.inf
+    return {'value': float(delays[best]), 'std': error}
 
 
-def show(contacts: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what was identified as lines of text."""
+def describe_contacts(contacts: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what `identify_contacts` found as lines of text."""
     lines = []
     for name, contact in contacts.items():
-        share = (
-            ''
-            if contact['explained'] is None
-            else (f', {100.0 * contact["explained"]:.1f} % explained')
-        )
-        lines.append(f'{name}: {format_count(contact["samples"], "samples")}{share}')
-        for key, (text, unit, scale, digits) in TEXTS.items():
-            value = contact[key]
-            lines.append(
-                f'  {text}: not known from this recording'
-                if value is None
-                else (
-                    f'  {text}: {scale * value["value"]:.{digits}f} +- '
-                    f'{scale * value["std"]:.{digits}f} {unit}'
-                )
-                .rstrip()
-                .replace('+- inf', '+- unknown (one step only)')
-            )
-    return '\n'.join(
-        [
-            *lines,
-            'stiffness and damping are those of surface and arm in series, as '
-            'the force loop feels them',
-        ]
+        line = f'{name}: {format_count(contact["samples"], "samples")}'
+        if contact['explained'] is not None:
+            line += f', {100.0 * contact["explained"]:.1f} % explained'
+        lines.append(line)
+        for key, text in RESULT_TEXTS.items():
+            lines.append(f'  {text.name}: {_describe_result(contact[key], text)}')
+    lines.append(
+        'stiffness and damping are those of surface and arm in series, as the force loop '
+        'feels them'
     )
+    return '\n'.join(lines)
+
+
+def _describe_result(result: Mapping[str, float] | None, text: ResultText) -> str:
+    if result is None:
+        return 'not known from this recording'
+    value = f'{text.scale * result["value"]:.{text.digits}f}'
+    if math.isinf(result['std']):
+        error = 'unknown (one step only)'
+    else:
+        error = f'{text.scale * result["std"]:.{text.digits}f}'
+    return f'{value} +- {error} {text.unit}'.rstrip()

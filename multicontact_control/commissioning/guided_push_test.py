@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
+from multicontact_control.commissioning.resting_poses import Tell
 from multicontact_control.errors import RunError
 from multicontact_control.sensor.push_test import CANCELLED, DISABLED, FAILED, PASSED
 
-OVER = (
-    PASSED,
-    FAILED,
-    CANCELLED,
-    DISABLED,
-)  # how the texts of a test begin that is over
+OVER = (PASSED, FAILED, CANCELLED, DISABLED)  # beginnings of the text of a test's end
 TIMEOUT = 10.0  # s, for an answer or a command of the controller
 
 
-def push_running(
-    tell: Callable[[str], None], namespace: str, domain_id: int | None
-) -> bool:
+def lead_push_test(tell: Tell, namespace: str, domain_id: int | None) -> bool:
     """
-    Lead through the push test of a running controller; return whether it passed; RunError.
+    Lead through the push test of a running controller.
 
-    Ctrl-C cancels it.
+    Parameters
+    ----------
+    tell
+        Is called with each instruction, and with the result.
+    namespace, domain_id
+        Where the controller runs.
+
+    Returns
+    -------
+    bool
+        Whether the sensor passed. Ctrl-C cancels the test.
+
+    Raises
+    ------
+    RunError
+        If the controller is not active, refuses the test, or does not answer.
+
     """
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
@@ -34,7 +42,8 @@ def push_running(
         domain_id=domain_id,
         timeout=TIMEOUT,
     ) as link:
-        if (state := link.get_state(topics.CONTROLLER)) != 'active':
+        state = link.get_state(topics.CONTROLLER)
+        if state != 'active':
             raise RunError(
                 f'{topics.CONTROLLER}: expected an active controller, got {state}'
             )
@@ -45,9 +54,8 @@ def push_running(
         try:
             while not text.startswith(OVER):
                 link.receive_fresh(topics.EFFORT_COMMAND)
-                for instruction in [
-                    status.push_test for status in link.take_statuses()
-                ]:
+                for status in link.take_statuses():
+                    instruction = status.push_test
                     begun = begun or instruction not in ('', DISABLED)
                     if begun and instruction != text:
                         text = instruction or CANCELLED

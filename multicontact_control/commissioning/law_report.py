@@ -26,16 +26,19 @@ from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import yaml
 
-NODES = {
+PARAMETER_FILE_NODES = {
     'controller': '/**/controller_node',
     'noise_estimator': '/**/noise_estimator_node',
 }
-LOWEST, POINTS = 0.1, 4000  # rad/s, of the frequency response
+LOWEST_FREQUENCY = 0.1  # rad/s, of the frequency response
+FREQUENCY_COUNT = 4000
 LONGEST_RISE = 5.0  # s
-READ = [ALPHA_MEAS, SPEED]  # of a law's inputs
-RATIOS = tuple(np.geomspace(1.0, 1000.0, 121).tolist())
+RISE_SHARE = 0.63  # of a step, at which its rise time is taken
+READINGS = [ALPHA_MEAS, SPEED]  # inputs of a law that a plant answers
+STIFFNESS_RATIOS = tuple(np.geomspace(1.0, 1000.0, 121).tolist())
+RATIO_TOLERANCE = 1e-3  # relative, of the largest stable ratio
 SPEEDS = np.geomspace(8.0, 1.0 / 64.0, 73).tolist()  # of the usual gains
-GAIN_MARGIN = 2.0  # left on the stiffest surface
+LEAST_GAIN_MARGIN = 2.0  # left on the stiffest surface
 
 
 @dataclass(frozen=True)
@@ -48,108 +51,135 @@ class Margins:
     crossover: float  # frequency at which the loop's gain is 1 [rad/s]
 
 
-def _readings(model: LoopModel) -> Matrix:
+def _reading_matrix(model: LoopModel) -> Matrix:
     """Return what of a plant's state a law reads: alpha, and the speed dalpha/dt / k."""
     outputs = np.zeros((2, len(model.plant.Gamma)))
-    outputs[0, 0], outputs[1, 1] = 1.0, 1.0 / model.stiffness
+    outputs[0, 0] = 1.0
+    outputs[1, 1] = 1.0 / model.stiffness
     return outputs
 
 
-def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix:
+def closed_loop_matrix(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix:
     """
     Return the matrix of one period of a law on a contact of P04 eq. 32, with no command.
 
-    Of the state [x of the plant, x of the law]; `ratio` is true over modelled stiffness.
+    Parameters
+    ----------
+    law
+        The force law, with l states.
+    model
+        The contact that it is designed for, with p states.
+    ratio
+        True over modelled stiffness.
+
+    Returns
+    -------
+    Matrix
+        Of the state [x of the plant, x of the law], shape (p + l, p + l).
+
     """
-    real = replace(model, stiffness=ratio * model.stiffness)
-    plant, rows = real.plant, _readings(real)
-    return np.block(
-        [
-            [
-                plant.Phi + np.outer(plant.Gamma, law.D[U, READ] @ rows),
-                np.outer(plant.Gamma, law.C[U]),
-            ],
-            [law.B[:, READ] @ rows, law.A],
-        ]
-    )
+    contact = replace(model, stiffness=ratio * model.stiffness)
+    plant = contact.plant
+    rows = _reading_matrix(contact)
+    from_plant = plant.Phi + np.outer(plant.Gamma, law.D[U, READINGS] @ rows)
+    from_law = np.outer(plant.Gamma, law.C[U])
+    return np.block([[from_plant, from_law], [law.B[:, READINGS] @ rows, law.A]])
 
 
-def rise_time(law: LinearLaw, model: LoopModel) -> float:
+def find_rise_time(law: LinearLaw, model: LoopModel) -> float:
     """Return when the force first passes 63 % of a step of the command [s]; infinite if never."""
-    loop, plant = contact_loop(law, model), model.plant
-    entering = np.concatenate([plant.Gamma * law.D[U, ALPHA_DES], law.B[:, ALPHA_DES]])
+    loop = closed_loop_matrix(law, model)
+    to_plant = model.plant.Gamma * law.D[U, ALPHA_DES]
+    entering = np.concatenate([to_plant, law.B[:, ALPHA_DES]])
     state = np.zeros(len(loop))
     for tick in range(round(LONGEST_RISE / model.period)):
-        if state[0] > 0.63:
+        if state[0] > RISE_SHARE:
             return tick * model.period
         state = loop @ state + entering
     return math.inf
 
 
-def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
-    """Return the margins of a force law on its model; of an observer's `make_steady_law`."""
+def find_margins(law: LinearLaw, model: LoopModel) -> Margins:
+    """
+    Return the margins of a force law on the model that it is designed for.
+
+    Of an active observer the law is its `make_steady_law`. A margin without a limit is infinite.
+    """
     import control  # takes a second
 
+    period = model.period
     plant = control.ss(
         model.plant.Phi,
         model.plant.Gamma[:, None],
-        _readings(model),
+        _reading_matrix(model),
         np.zeros((2, 1)),
-        model.period,
+        period,
     )
     feedback = control.ss(
-        law.A, law.B[:, READ], law.C[[U]], law.D[[U]][:, READ], model.period
+        law.A, law.B[:, READINGS], law.C[[U]], law.D[[U]][:, READINGS], period
     )
-    frequencies = np.geomspace(LOWEST, math.pi / model.period, POINTS)
+    highest = math.pi / period
+    frequencies = np.geomspace(LOWEST_FREQUENCY, highest, FREQUENCY_COUNT)
     response = control.frequency_response(-1.0 * feedback * plant, frequencies)
-    gain, phase, _, _, crossover, _ = control.stability_margins(response)
-    phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
-    crossover = float(crossover) if np.isfinite(crossover) else 0.0
-    return Margins(
-        float(gain), phase, phase / crossover if crossover else math.inf, crossover
-    )
+    gain, degrees, _, _, crossover, _ = control.stability_margins(response)
+    phase = math.radians(degrees) if np.isfinite(degrees) else math.inf
+    if not np.isfinite(crossover):
+        return Margins(float(gain), phase, math.inf, 0.0)
+    crossover = float(crossover)
+    return Margins(float(gain), phase, phase / crossover, crossover)
 
 
-def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
-    """Return from which to which true over modelled stiffness a force law is stable."""
+def find_stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
+    """Return the smallest and largest true over modelled stiffness that a law is stable with."""
 
-    def stable(ratio: float) -> bool:
-        return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
+    def is_stable(ratio: float) -> bool:
+        return spectral_radius(closed_loop_matrix(law, model, ratio)) < 1.0 + 1e-9
 
-    down = find_last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]
-    return 1.0 / down if down else math.inf, find_last_stable(stable, RATIOS, 1e-3)[0]
+    def is_stable_softer(ratio: float) -> bool:
+        return is_stable(1.0 / ratio)
+
+    softer = find_last_stable(is_stable_softer, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
+    largest = find_last_stable(is_stable, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
+    smallest = 1.0 / softer if softer else math.inf
+    return smallest, largest
 
 
-def _faster(exponents: Mapping[str, Any], usual: Any, speed: float) -> dict[str, Any]:
-    """Return the gains of a law that is so many times as fast, with four digits."""
-    return {
-        name: _faster(part, getattr(usual, name), speed)
-        if isinstance(part, Mapping)
-        else float(f'{getattr(usual, name) * speed**part:.4g}')
-        for name, part in exponents.items()
-    }
+def _scale_gains(
+    exponents: Mapping[str, Any], usual: Any, speed: float
+) -> dict[str, Any]:
+    """
+    Return the gains of a law that is `speed` times as fast as the usual one, with four digits.
+
+    `exponents` has for each gain the power of the speed that multiplies it, by section.
+    """
+    gains: dict[str, Any] = {}
+    for name, exponent in exponents.items():
+        value = getattr(usual, name)
+        if isinstance(exponent, Mapping):
+            gains[name] = _scale_gains(exponent, value, speed)
+        else:
+            gains[name] = float(f'{value * speed**exponent:.4g}')
+    return gains
 
 
 @dataclass(frozen=True)
 class DesignedLaw:
-    """Gains, and what they lead to."""
+    """Gains of a force law for a range of surfaces, and what they lead to."""
 
-    values: dict[
-        str, Any
-    ]  # of `force` in a controller's configuration, beside the defaults
+    # Of `force` in a controller's configuration, beside the defaults.
+    values: dict[str, Any]
     stiffness: float  # of the model [N/m]
     margins: Margins  # on the stiffest surface
     stiffest_ratio: float  # up to which the loop of the stiffest surface is stable
-    rise_softest: float  # of a step, on either end of the range [s]
-    rise_stiffest: float
+    rise_softest: float  # of a step on the softest surface [s]
+    rise_stiffest: float  # and on the stiffest [s]
 
 
 def design_for_range(
     name: str,
     *,
+    stiffness: tuple[float, float],
     input_delay: float,
-    softest: float,
-    stiffest: float,
     noise_variance: float,
     damping_rate: float = 100.0,
     period: float = 0.002,
@@ -157,11 +187,29 @@ def design_for_range(
     """
     Return the fastest gains with a gain margin of 2 and a period's delay left on every surface.
 
-    `name` is that of a registered law; `input_delay` and `period` are T_d and h [s]; the true
-    stiffness is from `softest` to `stiffest` [N/m], and modelled as their geometric mean;
-    `noise_variance` is R [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if no gains have
-    these margins.
+    Parameters
+    ----------
+    name
+        That of a registered force law.
+    stiffness
+        That of the softest and of the stiffest surface [N/m]; the model has their geometric mean.
+    input_delay
+        T_d [s].
+    noise_variance
+        R [N^2].
+    damping_rate
+        K_2 [1/s].
+    period
+        h [s].
+
+    Raises
+    ------
+    ConfigError
+        If a number is not acceptable, or no gains have these margins.
+
     """
+    softest, stiffest = stiffness
+    entry = find_law(name)
     given = {'law': name, 'damping_rate': damping_rate}
     usual = validate(ForceConfig, given)
     if not 0.0 < softest <= stiffest:
@@ -172,49 +220,46 @@ def design_for_range(
         )
     if not noise_variance > 0.0:
         raise ConfigError('noise_variance', 'a positive number', noise_variance)
-    model, soft, stiff = (
-        LoopModel(stiffness, damping_rate, input_delay, period)
-        for stiffness in (math.sqrt(softest * stiffest), softest, stiffest)
-    )
-    entry = find_law(name)
+    middle = math.sqrt(softest * stiffest)
+    model = LoopModel(middle, damping_rate, input_delay, period)
+    stiffest_model = replace(model, stiffness=stiffest)
     for speed in SPEEDS:
-        values = _faster(entry.speed_exponents, usual, speed)
+        values = _scale_gains(entry.speed_exponents, usual, speed)
         if entry.noise_gain:
             section, gain = entry.noise_gain
             values[section][gain] = noise_variance
         law = entry.design(model, validate(ForceConfig, {**values, **given}))
         if not isinstance(law, LinearLaw):
             law = make_steady_law(law, solve_steady_gain(law, noise_variance))
-        low, high = stable_ratios(law, stiff)
-        if low > softest / stiffest or high < GAIN_MARGIN:
+        smallest, largest = find_stable_ratios(law, stiffest_model)
+        if smallest > softest / stiffest or largest < LEAST_GAIN_MARGIN:
             continue  # before the frequency response, which takes ten times as long
-        margins = margins_of(law, stiff)
+        margins = find_margins(law, stiffest_model)
         if margins.delay >= period:
             return DesignedLaw(
                 {**given, 'input_delay': input_delay, **values},
                 model.stiffness,
                 margins,
-                high,
-                rise_time(law, soft),
-                rise_time(law, stiff),
+                largest,
+                find_rise_time(law, replace(model, stiffness=softest)),
+                find_rise_time(law, stiffest_model),
             )
     raise ConfigError(
         'stiffness',
         f'a range that `{name}` can be stable on with a gain margin of '
-        f'{GAIN_MARGIN:g} and a period of delay left',
+        f'{LEAST_GAIN_MARGIN:g} and a period of delay left',
         f'{softest:g} to {stiffest:g} N/m',
     )
 
 
-def show_design(design: DesignedLaw) -> str:
+def describe_design(design: DesignedLaw) -> str:
     """Return gains and margins as a few lines of text."""
     margins = design.margins
-    stiffest, softest = (
-        'never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
-        for time in (design.rise_stiffest, design.rise_softest)
-    )
-    return f"""{yaml.safe_dump({'force': design.values}, sort_keys=False).rstrip()}
-model: {_model(design)}
+    gains = yaml.safe_dump({'force': design.values}, sort_keys=False).rstrip()
+    stiffest = _describe_time(design.rise_stiffest)
+    softest = _describe_time(design.rise_softest)
+    return f"""{gains}
+model: {_describe_model(design)}
 on the stiffest surface:
   phase margin     {math.degrees(margins.phase):.0f} deg
   delay margin     {1e3 * margins.delay:.1f} ms
@@ -223,7 +268,13 @@ on the stiffest surface:
   63 % of a step   after {stiffest}, on the softest after {softest}"""
 
 
-def _model(design: DesignedLaw) -> str:
+def _describe_time(time: float) -> str:
+    if math.isinf(time):
+        return 'never'
+    return f'{1e3 * time:.0f} ms'
+
+
+def _describe_model(design: DesignedLaw) -> str:
     """Return the stiffness that the gains go with; contacts have names, which no law knows."""
     return (
         f'{design.stiffness:.0f} N/m '
@@ -236,14 +287,26 @@ def write_design(design: DesignedLaw, path: Path) -> None:
     write_preset(
         {'controller': {'force': design.values}},
         path,
-        f'designed with a model of {_model(design)}, which is not in here',
+        f'designed with a model of {_describe_model(design)}, which is not in here',
     )
 
 
-def write_preset(sections: Mapping[str, Any], path: Path, what: str) -> None:
-    """Write values of controller and noise estimator as a parameter file that `--preset` takes."""
+def write_preset(sections: Mapping[str, Any], path: Path, comment: str) -> None:
+    """
+    Write values of controller and noise estimator as a parameter file that `--preset` takes.
+
+    Parameters
+    ----------
+    sections
+        Nested values by `controller` and `noise_estimator`.
+    path
+        The file.
+    comment
+        A line at its head that says what it is.
+
+    """
     write_parameters(
         path,
-        {NODES[section]: values for section, values in sections.items()},
-        f'# {what}\n',
+        {PARAMETER_FILE_NODES[name]: values for name, values in sections.items()},
+        f'# {comment}\n',
     )

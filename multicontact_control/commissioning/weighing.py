@@ -8,8 +8,16 @@ from pathlib import Path
 import time
 from typing import Any
 
-from multicontact_control.arrays import find_true_stretches, Matrix, Vector
-from multicontact_control.config import ControllerConfig, ToolConfig
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.commissioning.resting_poses import (
+    AVERAGE_TIME,
+    list_quiet_poses,
+    SensedArm,
+    SETTLE_TIME,
+    SPEED_TIME,
+    Tell,
+)
+from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ContactConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
@@ -27,113 +35,40 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 TOOL_FILE = 'tool.yaml'
-JOINTS = 'joint_states'
-# A rest: largest speed of any joint [rad/s]; its beginning that is left out, and the least time
-# over which readings are averaged [s].
-SPEED, SETTLE_TIME, AVERAGE_TIME = 0.02, 0.5, 1.0
+JOINT_TOPIC = 'joint_states'
 REST_TIME = SETTLE_TIME + AVERAGE_TIME + 0.5  # s, of a rest that is made for it
-LOOK = 0.1  # s, over which the speed of a joint is taken
-REACHED, SAG = (
-    0.1,
-    0.1,
-)  # rad and m off a tilt: a weight that is not known pulls the tool down
-ATTEMPTS = 3  # motions to it, and rests in it
+# A pose is reached within these: a weight that is not known pulls the tool down.
+TURN_TOLERANCE = 0.1  # rad
+POSITION_TOLERANCE = 0.1  # m
+ATTEMPTS = 3  # motions to a pose, and rests in it
 ROUNDS = 2  # of the poses that have not been weighed
 CLEARANCE = 0.02  # m, of a tilted contact to where its surface may begin
 TIMEOUT = 10.0  # s, for an answer or a sample of the controller
-PEAK = 1.875  # largest speed of a quintic, relative to the mean
-SHARE = 0.6  # of the largest angular speed
-TILTS = (
-    (0.0, 0.0),
-    (1.0, 0.0),
-    (-1.0, 0.0),
-    (0.0, 1.0),
-    (0.0, -1.0),
-)  # about world x and y
-
-Tell = Callable[[str], None]
+QUINTIC_PEAK = 1.875  # largest speed of a quintic, relative to the mean
+SPEED_SHARE = 0.6  # of the limits of the speed, that a motion takes
+# Axes of the tilts in world x and y; the first pose has none.
+TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 
 
-def quiet_rests(
-    source: object,
-    joints: BagColumns,
-    felt: BagColumns,
-    controller: ControllerConfig,
-    robot: RobotModel,
-    tell: Tell,
-) -> list[tool.PoseReading]:
-    """
-    Return the rests of an arm, from its messages.
-
-    `tell` is called with each rest; one whose readings vary is left out. Raises RunError, naming
-    the `source`, if a joint is missing.
-    """
-    names, gravity = (
-        controller.robot.joint_names,
-        np.array(controller.robot.gravity_world),
-    )
-    q, readings = joints.values('position', names), felt.values('wrench')
-    if not np.isfinite(q).all():
-        raise RunError(
-            f'{source}: joint_states: expected positions of the joints '
-            f'{", ".join(names)}, got {", ".join(joints.names) or "none"}'
-        )
-    q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
-    if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
-        q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
-    poses = []
-    for begin, end in find_rests(q_time, q):
-        mean = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
-        rotation = robot.update(
-            mean, np.zeros(robot.joint_count)
-        ).sensor_pose.rotation_world
-        rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
-        try:
-            reading = tool.compute_tare_bias(
-                readings[(f_time >= begin) & (f_time <= end)],
-                rotation,
-                ToolConfig(),
-                gravity,
-            )
-        except CalibrationError as error:
-            tell(f'{rest} left out: {error}')
-            continue
-        tell(rest)
-        poses.append(tool.PoseReading(rotation, reading))
-    return poses
-
-
-def identify(
-    poses: Sequence[tool.PoseReading],
-    controller: ControllerConfig,
-    lacking: str = '',
+def identify_from_rests(
+    poses: Sequence[tool.PoseReading], controller: ControllerConfig, lacking: str = ''
 ) -> tool.Identification:
-    """Identify a tool from rests; CalibrationError if there are too few, saying what lacks."""
+    """
+    Identify a tool from rests.
+
+    `lacking` says which poses gave no rest, and why; the CalibrationError for too few repeats it.
+    """
     if len(poses) < tool.MIN_POSES:
-        what = f'; {lacking}' if lacking else ''
+        reason = f'; {lacking}' if lacking else ''
         raise CalibrationError(
             f'calibrate: expected at least {tool.MIN_POSES} quiet rests of '
-            f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}{what}'
+            f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}{reason}'
         )
     return tool.identify_tool(poses, np.array(controller.robot.gravity_world))
 
 
-def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
-    """Return from when to when an arm was at rest [s], of joint angles of shape (m, n) [rad]."""
-    order = np.argsort(time, kind='stable')
-    time, q = time[order], q[order]
-    before = np.column_stack([np.interp(time - LOOK, time, column) for column in q.T])
-    speed = np.abs(q - before).max(axis=1) / LOOK
-    # In a gap of the joint states the arm may have moved.
-    still = (speed <= SPEED) & (np.diff(time, prepend=time[0]) <= LOOK)
-    rests = [
-        (float(time[begin]) + SETTLE_TIME, float(time[end - 1]))
-        for begin, end in find_true_stretches(still)
-    ]
-    return [(start, stop) for start, stop in rests if stop - start >= AVERAGE_TIME]
-
-
-def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
+def _read_arm(files: Sequence[Path]) -> SensedArm:
+    """Return the arm of a controller's parameter files; ConfigError without a wrist sensor."""
     read = read_controller_files(files)
     controller = read.config()
     if controller.wrench_input == 'momentum':
@@ -142,31 +77,46 @@ def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
             'raw or filtered: a wrist sensor that is calibrated',
             controller.wrench_input,
         )
-    return controller, RobotModel(controller.robot, read.urdf_dir)
+    return SensedArm(controller, RobotModel(controller.robot, read.urdf_dir))
 
 
 def weigh_recording(
-    path: Path,
-    files: Sequence[Path],
-    namespace: str | None = None,
-    tell: Tell = lambda text: None,
+    path: Path, files: Sequence[Path], namespace: str | None, tell: Tell
 ) -> tool.Identification:
     """
     Identify a tool from a recording, whose joint states and wrenches may have clocks of their own.
 
-    `files` are the controller's; `namespace` is that of the topics, the only one by default. As
-    `weigh`, and raises ConfigError or RunError if a file or the recording lacks something.
+    Parameters
+    ----------
+    path
+        The folder of a bag, or an MCAP file.
+    files
+        Parameter files of the controller.
+    namespace
+        That of the topics; None takes the only one.
+    tell
+        Is called with each rest.
+
+    Raises
+    ------
+    ConfigError, RunError
+        If a file or the recording lacks something.
+    CalibrationError
+        If there are too few rests, or they do not determine the tool.
+
     """
-    controller, robot = _arm(files)
-    wrench = f'ft_sensor/{controller.wrench_series}'
-    messages = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
-    for topic in (JOINTS, wrench):
+    arm = _read_arm(files)
+    wrench_topic = f'ft_sensor/{arm.controller.wrench_series}'
+    kinds = {JOINT_TOPIC: JOINT_STATE, wrench_topic: WRENCH}
+    messages = read_messages(path, kinds, namespace)
+    for topic in kinds:
         if topic not in messages.by_topic:
             raise RunError(f'{path}: expected messages on {topic}, got {messages}')
-    joints, felt = messages.by_topic[JOINTS], messages.by_topic[wrench]
-    return identify(
-        quiet_rests(path, joints, felt, controller, robot, tell), controller
+    columns = messages.by_topic
+    poses = list_quiet_poses(
+        path, arm, columns[JOINT_TOPIC], columns[wrench_topic], tell
     )
+    return identify_from_rests(poses, arm.controller)
 
 
 def weigh_running(
@@ -182,80 +132,114 @@ def weigh_running(
     Identify the tool of a robot by a controller that runs: it lifts, tilts and puts back the tool.
 
     The operational point is lifted off the contacts, as far as a tilt would lead into them, and
-    stays there. `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
-    least time from pose to pose [s]. A pose without a quiet rest is tried once more, and then
-    goes without: the others count. As `weigh_recording`, and raises RunError if no controller
-    answers, or a contact is pressed.
+    stays there. A pose without a quiet rest is tried once more, and then goes without: the others
+    count.
+
+    Parameters
+    ----------
+    files
+        Parameter files of the controller.
+    namespace, domain_id
+        Where the controller runs.
+    tilt
+        Angle about world x and y, to either side [rad].
+    move_time
+        The least time from pose to pose [s].
+    tell
+        Is called with what is done.
+
+    Raises
+    ------
+    RunError
+        If no controller answers, or a contact is pressed; and as `weigh_recording`.
+
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
 
-    controller, robot = _arm(files)
+    arm = _read_arm(files)
+    limits = arm.controller.limits
     where: dict[str, Any] = {
         'namespace': namespace,
         'domain_id': domain_id,
         'timeout': TIMEOUT,
     }
-    heard = (topics.JOINT_STATES, topics.WRENCHES[controller.wrench_input])
-    with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
-        start = arm.read()
-        if pressed := [
-            name for name, force in start.forces_desired.items() if force > 0.0
-        ]:
+    streams = (topics.JOINT_STATES, topics.WRENCHES[arm.controller.wrench_input])
+    with (
+        MultiContactClient(**where) as client,
+        ControllerLink(streams, **where) as link,
+    ):
+        start = client.read()
+        pressed = [name for name, force in start.forces_desired.items() if force > 0.0]
+        if pressed:
             raise RunError(
                 f'calibrate: expected free space, got {", ".join(pressed)} pressed'
             )
         # A weight that is not known is a pull that no surface explains: control waits for this.
         tell('tare, so that the weight is not taken for a contact')
-        _await_control(arm)
+        _await_control(client)
         # From one side to the other, well within the limit of the angular speed.
-        duration = max(
-            move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn)
-        )
+        turn_time = _find_move_time(2.0 * tilt, limits.operational_turn)
+        duration = max(move_time, turn_time)
         home = Rotation.from_quat(start.quaternion_desired)
         tilts = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) for x, y in TILTS]
-        wanted = start.position_desired + way_off(controller, home, tilts)
-        place = _within_workspace(controller, wanted)
+        clear = start.position_desired + find_clearing_way(arm.controller, home, tilts)
+        place = _move_into_workspace(arm.controller, clear)
         height = float(np.linalg.norm(place - start.position_desired))
-        lift_time = max(
-            move_time, PEAK * height / (SHARE * controller.limits.operational_speed)
-        )
+        lift_time = max(move_time, _find_move_time(height, limits.operational_speed))
         if height > 0.0:
             tell(f'lift by {1e3 * height:.0f} mm, off the contacts')
-            arm.move(
-                place, lift_time, position_tolerance=SAG, rotation_tolerance=REACHED
-            )
-        if short := float(np.linalg.norm(wanted - place)):
+            _move_tool(client, place, lift_time)
+        missing_height = float(np.linalg.norm(clear - place))
+        if missing_height:
             tell(
-                f'limits.workspace_* end {1e3 * short:.0f} mm before the tool is clear of the '
-                'contacts wherever it is tilted: watch it'
+                f'limits.workspace_* end {1e3 * missing_height:.0f} mm before the tool is '
+                'clear of the contacts wherever it is tilted: watch it'
             )
 
         def rest_at(number: int) -> tool.PoseReading:
-            _turn(arm, place, duration, tilts[number] * home)
-            return _rest(link, heard, arm.read().time, controller, robot)
+            _turn_tool(client, place, duration, tilts[number] * home)
+            return _await_rest(link, streams, client.read().time, arm)
 
-        found, lacking = visit_poses(len(tilts), rest_at, tell)
+        poses, lacking = visit_poses(len(tilts), rest_at, tell)
         tell('back to the first pose')
-        tolerances = {'position_tolerance': SAG, 'rotation_tolerance': REACHED}
         try:
-            arm.move(
-                place, duration, quaternion_xyzw=start.quaternion_desired, **tolerances
+            _move_tool(
+                client, place, duration, quaternion_xyzw=start.quaternion_desired
             )
-            arm.move(start.position_desired, lift_time, **tolerances)
+            _move_tool(client, start.position_desired, lift_time)
         except RunError as error:  # what is weighed is weighed
             tell(f'not back in the first pose: {error}')
         tell('the running controller keeps its tare; the result is for the next run')
-    return identify(found, controller, lacking)
+    return identify_from_rests(poses, arm.controller, lacking)
+
+
+def _find_move_time(way: float, limit: float) -> float:
+    """Return the time in which a quintic goes a way [m or rad] well within a speed limit [s]."""
+    return QUINTIC_PEAK * way / (SPEED_SHARE * limit)
+
+
+def _move_tool(client: Any, position: Vector, duration: float, **pose: Vector) -> None:
+    """Move the tool as near to a pose as an unknown weight lets it; RunError if it cannot."""
+    client.move(
+        position,
+        duration,
+        position_tolerance=POSITION_TOLERANCE,
+        rotation_tolerance=TURN_TOLERANCE,
+        **pose,
+    )
 
 
 def visit_poses(
-    count: int,
-    rest_at: Callable[[int], tool.PoseReading],
-    tell: Tell,
+    count: int, rest_at: Callable[[int], tool.PoseReading], tell: Tell
 ) -> tuple[list[tool.PoseReading], str]:
-    """Return the rests at poses 0 to `count` - 1, and in words which gave none, and why."""
+    """
+    Return the rests at poses 0 to `count` - 1, and in words which gave none, and why.
+
+    `rest_at` brings the arm to a pose and returns its rest; where it raises CalibrationError or
+    RunError it is called once more, after the others.
+    """
     found: dict[int, tool.PoseReading] = {}
     lacking: dict[int, str] = {}
     for _ in range(ROUNDS):
@@ -269,82 +253,76 @@ def visit_poses(
             except (CalibrationError, RunError) as error:
                 lacking[number] = str(error)
                 tell(f'pose {number + 1} left out: {error}')
-    texts = [f'pose {number + 1}: {why}' for number, why in lacking.items()]
-    if texts:
+    if lacking:
         tell(f'{len(found)} of {count} poses count')
-    return list(found.values()), '; '.join(texts)
+    reasons = [f'pose {number + 1}: {reason}' for number, reason in lacking.items()]
+    return list(found.values()), '; '.join(reasons)
 
 
-def _rest(
-    link: Any,
-    heard: Sequence[Any],
-    since: float,
-    controller: ControllerConfig,
-    robot: RobotModel,
+def _await_rest(
+    link: Any, streams: Sequence[Any], since: float, arm: SensedArm
 ) -> tool.PoseReading:
     """Return a rest from samples after a time [s]; CalibrationError without one in time."""
-    joints, felt = BagColumns(JOINT_STATE), BagColumns(WRENCH)
+    joints = BagColumns(JOINT_STATE)
+    wrenches = BagColumns(WRENCH)
     said: list[str] = []
-    for rests in range(
-        1, ATTEMPTS + 1
-    ):  # where samples are lost, more of them are needed
-        while not len(joints) or 1e-9 * joints.stamps[-1] < since + rests * REST_TIME:
-            for columns, message in zip((joints, felt), link.receive_fresh(*heard)):
+    # Where samples are lost, more of them are needed.
+    for attempt in range(1, ATTEMPTS + 1):
+        until = since + attempt * REST_TIME
+        while not len(joints) or 1e-9 * joints.stamps[-1] < until:
+            messages = link.receive_fresh(*streams)
+            for columns, message in zip((joints, wrenches), messages):
                 columns.add_message(message, time.time_ns())
-        poses = quiet_rests('calibrate', joints, felt, controller, robot, said.append)
+        poses = list_quiet_poses('calibrate', arm, joints, wrenches, said.append)
         if poses:
             return poses[-1]
-    why = (
-        said[-1]
-        if said
-        else f'{len(joints)} samples, with gaps of more than {LOOK:g} s'
-    )
-    raise CalibrationError(f'no quiet rest in {ATTEMPTS * REST_TIME:g} s: {why}')
+    reason = f'{len(joints)} samples, with gaps of more than {SPEED_TIME:g} s'
+    if said:
+        reason = said[-1]
+    raise CalibrationError(f'no quiet rest in {ATTEMPTS * REST_TIME:g} s: {reason}')
 
 
-def way_off(
-    controller: ControllerConfig,
-    home: Rotation,
-    tilts: Sequence[Rotation],
+def find_clearing_way(
+    controller: ControllerConfig, home: Rotation, tilts: Sequence[Rotation]
 ) -> Vector:
     """
     Return the way that keeps tilted contacts off every surface, shape (3,) [m].
 
-    The surfaces are taken to begin where the contacts are now; zero without contacts.
+    The surfaces are taken to begin where the contacts are at the orientation `home`; it is zero
+    without contacts.
     """
     contacts = [controller.contacts[name] for name in controller.contact_names]
     if not contacts:
         return np.zeros(3)
-    now = np.concatenate([_corners(contact, home) for contact in contacts])
+    corners = np.concatenate([_list_corners(contact, home) for contact in contacts])
     normals = np.array([contact.normal_world for contact in contacts])
-    into = np.max([(tilt.apply(now) - now) @ normals.T for tilt in tilts], axis=(0, 1))
-    way: Vector = np.linalg.lstsq(
-        normals, -(np.maximum(into, 0.0) + CLEARANCE), rcond=None
-    )[0]
+    depths = [(tilt.apply(corners) - corners) @ normals.T for tilt in tilts]
+    deepest = np.maximum(np.max(depths, axis=(0, 1)), 0.0)
+    way: Vector = np.linalg.lstsq(normals, -(deepest + CLEARANCE), rcond=None)[0]
     return way
 
 
-def _corners(contact: ContactConfig, home: Rotation) -> Matrix:
+def _list_corners(contact: ContactConfig, home: Rotation) -> Matrix:
     """Return where a contact ends, from the operational point, world axes, shape (k, 3)."""
-    point, along = (
-        home.apply(values)
-        for values in (contact.point_operational, contact.direction_operational)
-    )
-    across = np.cross(contact.normal_world, along)
-    sides = {
-        'point': [np.zeros(3)],
-        'edge': [contact.half_length * along],
-        'plane': [
-            contact.half_length * along + contact.half_width * across,
-            contact.half_length * along - contact.half_width * across,
-        ],
-    }
+    point = home.apply(contact.point_operational)
+    direction = home.apply(contact.direction_operational)
+    along = contact.half_length * direction
+    across = contact.half_width * np.cross(contact.normal_world, direction)
+    if contact.type == 'point':
+        return np.array([point])
+    if contact.type == 'edge':
+        return np.array([point + along, point - along])
     return np.array(
-        [point + sign * side for side in sides[contact.type] for sign in (1.0, -1.0)]
+        [
+            point + along + across,
+            point + along - across,
+            point - along + across,
+            point - along - across,
+        ]
     )
 
 
-def _within_workspace(controller: ControllerConfig, position: Vector) -> Vector:
+def _move_into_workspace(controller: ControllerConfig, position: Vector) -> Vector:
     """Return a position of the operational point, or that next to it in its box, shape (3,)."""
     limits = controller.limits
     if not len(limits.workspace_lower):
@@ -352,73 +330,64 @@ def _within_workspace(controller: ControllerConfig, position: Vector) -> Vector:
     return np.clip(position, limits.workspace_lower, limits.workspace_upper)
 
 
-def _await_control(arm: Any) -> None:
+def _await_control(client: Any) -> None:
     """Tare once the arm stands still, then wait until it obeys; RunError if it does not."""
-    give_up, tared = time.monotonic() + TIMEOUT, False
+    give_up = time.monotonic() + TIMEOUT
+    tared = False
     while True:
-        for _ in range(
-            2 * tool.MIN_SAMPLES
-        ):  # of a controller that has just begun, or moves
-            arm.read()
-        with contextlib.suppress(
-            RunError
-        ):  # as long as it moves, or if control does not wait
+        # The controller may just have begun, or the arm may move.
+        for _ in range(2 * tool.MIN_SAMPLES):
+            client.read()
+        # It refuses as long as the arm moves, or if control does not wait.
+        with contextlib.suppress(RunError):
             if not tared:
-                arm.tare()
+                client.tare()
                 tared = True
-            arm.retry()
-        status = arm.status()
+            client.retry()
+        status = client.status()
         if tared and status is not None and status.reaction in (NONE, INFLATE):
             return
         if time.monotonic() > give_up:
+            text = 'no status' if status is None else status.text
             raise RunError(
                 'calibrate: expected control to begin once the weight is tared away, '
-                f'got {"no status" if status is None else status.text}'
+                f'got {text}'
             )
 
 
-def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
-    """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
+def _turn_tool(client: Any, position: Vector, duration: float, pose: Rotation) -> None:
+    """Turn the tool, once more if the supervisor has held it; RunError if it stays off."""
     from multicontact_control.client import NotReachedError
 
     for _ in range(ATTEMPTS):
         with contextlib.suppress(NotReachedError):  # what is reached is looked at below
-            arm.move(
-                position,
-                duration,
-                quaternion_xyzw=pose.as_quat(),
-                position_tolerance=SAG,
-                rotation_tolerance=REACHED,
-            )
-        for _ in range(2 * tool.MIN_SAMPLES):  # until it has come to rest
-            off = (
-                Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()
-            ).magnitude()
-        if off <= REACHED:
+            _move_tool(client, position, duration, quaternion_xyzw=pose.as_quat())
+        # Until it has come to rest.
+        for _ in range(2 * tool.MIN_SAMPLES):
+            reached = Rotation.from_quat(client.read().quaternion_xyzw)
+        error = (reached * pose.inv()).magnitude()
+        if error <= TURN_TOLERANCE:
             return
         with contextlib.suppress(RunError):  # if control does not wait
-            arm.retry()
+            client.retry()
     raise RunError(
-        f'calibrate: expected a tilted tool, got one {np.rad2deg(off):.0f} deg off; it may be '
+        f'calibrate: expected a tilted tool, got one {np.rad2deg(error):.0f} deg off; it may be '
         'beyond a limit, or too heavy to lift unknown: start from another pose, tilt less, or '
         'weigh it --from-bag'
     )
 
 
-def describe(result: tool.Identification) -> list[str]:
+def describe_tool(result: tool.Identification) -> list[str]:
     """Return what was identified, with the standard errors, in lines of text."""
     centre = ', '.join(
         f'{1e3 * value:.2f} +- {1e3 * error:.2f}'
         for value, error in zip(result.com_sensor, result.com_std)
     )
-    force, torque = (
-        ', '.join(f'{value:.4f}' for value in part)
-        for part in np.split(result.bias_sensor, 2)
-    )
+    bias = [f'{value:.4f}' for value in result.bias_sensor]
     return [
         f'mass: {result.mass:.4f} +- {result.mass_std:.4f} kg',
         f'centre of mass: {centre} mm',
-        f'bias: {force} N, {torque} N m',
+        f'bias: {", ".join(bias[:3])} N, {", ".join(bias[3:])} N m',
         f'{result.poses} poses, condition {result.condition:.3g}, residual '
         f'{result.force_residual:.3g} N and {result.torque_residual:.3g} N m rms',
     ]
@@ -428,13 +397,11 @@ def write_tool(folder: Path, result: tool.Identification) -> Path:
     """Write a tool as a parameter file to lay over the controller's, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
-    head = [
-        *describe(result),
-        'Give it to the controller after its own parameter file.',
-    ]
+    lines = describe_tool(result)
+    lines.append('Give it to the controller after its own parameter file.')
     write_parameters(
         path,
         {'/**': {'tool': result.tool().model_dump(mode='json')}},
-        ''.join(f'# {line}\n' for line in head),
+        ''.join(f'# {line}\n' for line in lines),
     )
     return path

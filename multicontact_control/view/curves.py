@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
@@ -38,45 +39,55 @@ FLOOR = 1e-4  # N^2, where a logarithm of R ends
 SHOWN, HEADROOM = (0.1, 10.0), 1.1
 
 
-class History:
-    """The newest points of all curves, of as long as the longest of `WINDOWS`."""
+class PointHistory:
+    """
+    The newest points of all curves, of as long as the longest of `WINDOWS`.
+
+    Points have the columns of `Snapshot.points`, of which the first is time.
+    """
 
     def __init__(self, width: int) -> None:
         self._count = round(max(WINDOWS.values()) * RATE * POINTS)
         self._points = np.empty((0, width))
 
-    def add(self, points: Matrix) -> None:
-        """Take points; time that goes back begins anew."""
-        if len(points):
-            later = len(self._points) and points[0, 0] > self._points[-1, 0]
-            kept = self._points if later else self._points[:0]
-            self._points = np.concatenate([kept, points])[-self._count :]
+    def add_points(self, points: Matrix) -> None:
+        """Take points, shape (k, width); time that goes back begins anew."""
+        if not len(points):
+            return
+        if len(self._points) and points[0, 0] <= self._points[-1, 0]:
+            self._points = self._points[:0]
+        self._points = np.concatenate([self._points, points])[-self._count :]
 
-    def last(self, time: float) -> Matrix:
+    def last_seconds(self, duration: float) -> Matrix:
         """Return the points of the last seconds [s], or their extremes where they are too many."""
         points = self._points
         if not len(points):
             return points
-        points = points[points[:, 0] > points[-1, 0] - time]
-        return extremes(points, -(-2 * len(points) // DRAWN))
+        points = points[points[:, 0] > points[-1, 0] - duration]
+        return block_extremes(points, math.ceil(2 * len(points) / DRAWN))
 
 
-def extremes(points: Matrix, size: int) -> Matrix:
-    """Return the smallest and the largest value of every `size` points, in each column."""
+def block_extremes(points: Matrix, size: int) -> Matrix:
+    """
+    Return the smallest and the largest value of every `size` points, in each column.
+
+    Two points for each block, with the times of its first and its middle one; a last block that
+    is not whole stays as it is.
+    """
     if size <= 2:
         return points
-    whole = points[: len(points) // size * size].reshape(-1, size, points.shape[1])
-    pairs = np.stack(
-        [np.fmin.reduce(whole, axis=1), np.fmax.reduce(whole, axis=1)], axis=1
-    )
-    pairs[:, :, 0] = whole[:, [0, size // 2], 0]
-    return np.concatenate(
-        [pairs.reshape(-1, points.shape[1]), points[len(whole) * size :]]
-    )
+    columns = points.shape[1]
+    blocks = points[: len(points) // size * size].reshape(-1, size, columns)
+    least = np.fmin.reduce(blocks, axis=1)
+    greatest = np.fmax.reduce(blocks, axis=1)
+    pairs = np.stack([least, greatest], axis=1)
+    pairs[:, :, 0] = blocks[:, [0, size // 2], 0]
+    rest = points[len(blocks) * size :]
+    return np.concatenate([pairs.reshape(-1, columns), rest])
 
 
 class Chart(NamedTuple):
-    """What a chart shows."""
+    """What a chart shows: which columns of the points, and how each curve looks."""
 
     title: str
     labels: Sequence[str]  # of its curves
@@ -84,13 +95,16 @@ class Chart(NamedTuple):
     colours: Sequence[str]
     y: dict[str, Any]  # its axis, as uPlot wants it
     scale: float = 1.0  # that values are multiplied by
-    styles: Sequence[
-        Mapping[str, Any]
-    ] = ()  # of its curves, where they are not all alike
+    # Of its curves, where they are not all alike.
+    styles: Sequence[Mapping[str, Any]] = ()
 
 
-class Curves:
-    """The charts of a page for forces and couples, and joints by name; made where `gui` is."""
+class CurveCharts:
+    """
+    The charts of a page for forces and couples, and joints by name; made where `gui` is.
+
+    The user chooses how many seconds they show.
+    """
 
     def __init__(
         self,
@@ -100,47 +114,49 @@ class Curves:
         true_forces: bool,
     ) -> None:
         self._width = 1 + KINDS * len(names) + len(joints)
-        self.history = History(self._width)
+        self.history = PointHistory(self._width)
         self._gui = gui
         self._window = gui.add_dropdown('window', tuple(WINDOWS), initial_value=FIRST)
-        self._charts = charts_of(names, joints, true_forces)
+        self._charts = plan_charts(names, joints, true_forces)
         self._folder = gui.add_folder('last seconds, from now')
         self._plots: list[Any] = []
-        self._make()
+        self._add_plots()
 
-        async def changed(_event: Any) -> None:
-            self._make()
+        async def on_update(_event: Any) -> None:
+            self._add_plots()
 
-        self._window.on_update(changed)
+        self._window.on_update(on_update)
 
-    def _make(self) -> None:
+    def _add_plots(self) -> None:
         """Make the charts; anew for another window, as those of a browser keep their axes."""
+        x_axis = {'size': 24, **AXIS}
+        y_axis = {'size': 44, 'space': SPACE, **AXIS}
         with self._folder:
             for plot in self._plots:
                 plot.remove()
+            self._plots.clear()
             x = {'time': False, 'range': (-WINDOWS[self._window.value], 0.0)}
-            self._plots = [
-                self._gui.add_uplot(
-                    data,
-                    ({'label': 's'}, *series_of(chart), UNSEEN),
+            for chart, series in zip(self._charts, self._series_of_charts()):
+                plot = self._gui.add_uplot(
+                    series,
+                    ({'label': 's'}, *curve_options(chart), UNSEEN),
                     title=chart.title,
                     height=HEIGHT,
                     scales={'x': x, 'y': chart.y},
-                    axes=({'size': 24, **AXIS}, {'size': 44, 'space': SPACE, **AXIS}),
+                    axes=(x_axis, y_axis),
                     legend={'show': len(chart.labels) <= LISTED, 'live': False},
                     padding=(6, 12, 0, 0),
                 )
-                for chart, data in zip(self._charts, self._data())
-            ]
+                self._plots.append(plot)
 
     def draw(self) -> None:
-        """Show what has come."""
-        for plot, data in zip(self._plots, self._data()):
-            plot.data = data
+        """Show what has come since the charts were drawn last."""
+        for plot, series in zip(self._plots, self._series_of_charts()):
+            plot.data = series
 
-    def _data(self) -> list[tuple[Vector, ...]]:
+    def _series_of_charts(self) -> list[tuple[Vector, ...]]:
         """Return what each chart shows: seconds from now, then its curves."""
-        points = self.history.last(WINDOWS[self._window.value])
+        points = self.history.last_seconds(WINDOWS[self._window.value])
         if not len(points):
             points = np.zeros((1, self._width))
         time: Vector = points[:, 0] - points[-1, 0]
@@ -148,64 +164,74 @@ class Curves:
         for chart in self._charts:
             # uPlot loses its axis over a single number that is none.
             values = chart.scale * np.nan_to_num(points[:, chart.columns])
-            shown = HEADROOM * min(values.min(), 0.0), HEADROOM * max(values.max(), 0.0)
             if chart.y == LOGARITHMIC:
-                values, shown = np.maximum(values, FLOOR), SHOWN
-            values = np.column_stack([values, np.resize(shown, len(values))])
-            series.append(
-                (time, *(np.ascontiguousarray(column) for column in values.T))
-            )
+                values = np.maximum(values, FLOOR)
+                ends = SHOWN
+            else:
+                lowest = min(values.min(), 0.0)
+                highest = max(values.max(), 0.0)
+                ends = (HEADROOM * lowest, HEADROOM * highest)
+            unseen = np.resize(ends, len(values))
+            curves = [np.ascontiguousarray(column) for column in values.T]
+            series.append((time, *curves, unseen))
         return series
 
 
-def series_of(chart: Chart) -> Iterator[dict[str, Any]]:
-    """Yield how each curve of a chart is drawn, as uPlot wants it."""
-    for i, label in enumerate(chart.labels):
-        style = chart.styles[i] if chart.styles else {'width': 1.5}
-        yield {
-            'label': label,
-            'stroke': chart.colours[i % len(chart.colours)],
-            'points': {'show': False},
-            **style,
-        }
+def curve_options(chart: Chart) -> list[dict[str, Any]]:
+    """Return how each curve of a chart is drawn, as uPlot wants it."""
+    options = []
+    for number, label in enumerate(chart.labels):
+        style = chart.styles[number] if chart.styles else {'width': 1.5}
+        colour = chart.colours[number % len(chart.colours)]
+        curve = {'label': label, 'stroke': colour, 'points': {'show': False}}
+        options.append({**curve, **style})
+    return options
 
 
-def charts_of(
+def plan_charts(
     names: Sequence[str], joints: Sequence[str], true_forces: bool
 ) -> list[Chart]:
-    """Return what there is to show of these forces, couples and joints."""
-    first = 0 if true_forces else 1  # the true force is drawn below the others
-    *columns, torques = np.split(
-        1 + np.arange(KINDS * len(names) + len(joints)),
-        len(names) * np.arange(1, KINDS + 1),
-    )
-    *forces, variance, innovation = columns
-    return [
-        *(
+    """
+    Return the charts of some forces and couples (`names`) and joints.
+
+    The true force is drawn below the others, if it is known.
+    """
+    first = 0 if true_forces else 1
+    count = len(names)
+    charts = []
+    for number, name in enumerate(names):
+        measured, estimated, desired, true = (
+            1 + kind * count + number for kind in range(4)
+        )
+        charts.append(
             Chart(
                 f'force on {name} [N]',
                 ('true', 'measured', 'estimated', 'desired')[first:],
-                [true, *each][first:],
+                [true, measured, estimated, desired][first:],
                 (COLOURS[3], *COLOURS[:3])[first:],
-                axis(0.0, 5.0),
+                soft_axis(0.0, 5.0),
                 styles=STYLES[first:],
             )
-            for name, *each, true in zip(names, *forces)
-        ),
-        Chart('R [N^2], logarithmic', names, variance.tolist(), COLOURS, LOGARITHMIC),
-        Chart('innovation [N]', names, innovation.tolist(), COLOURS, axis(-0.2, 0.2)),
+        )
+    variance = list(range(1 + 4 * count, 1 + 5 * count))
+    innovation = list(range(1 + 5 * count, 1 + 6 * count))
+    torques = list(range(1 + KINDS * count, 1 + KINDS * count + len(joints)))
+    return [
+        *charts,
+        Chart('R [N^2], logarithmic', names, variance, COLOURS, LOGARITHMIC),
+        Chart('innovation [N]', names, innovation, COLOURS, soft_axis(-0.2, 0.2)),
         Chart(
             'torque of each joint, % of its limit',
-            [str(k + 1) for k in range(len(joints))],
-            torques.tolist(),
+            [str(number + 1) for number in range(len(joints))],
+            torques,
             JOINTS,
-            axis(0.0, 100.0),
+            soft_axis(0.0, 100.0),
             100.0,
         ),
     ]
 
 
-def axis(lower: float, upper: float) -> dict[str, Any]:
+def soft_axis(lower: float, upper: float) -> dict[str, Any]:
     """Return an axis that holds two values at least, so that noise is not all there is to see."""
     return {
         'range': {

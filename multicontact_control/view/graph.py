@@ -22,7 +22,7 @@ from multicontact_control.nodes.messages import (
 )
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.view import source
-from multicontact_control.view.motion import Motion
+from multicontact_control.view.motion import CommandedMotion
 from multicontact_control.view.streams import Stream
 import numpy as np
 from rcl_interfaces.srv import ListParameters
@@ -114,7 +114,7 @@ class GraphSource:
             '': config.robot.operational_frame,
             **({'tool': setup.plant.tool_push_link} if setup.simulated else {}),
         }
-        self._motion, self._motion_identifier = Motion(config.limits), ''
+        self._motion, self._motion_identifier = CommandedMotion(config.limits), ''
         self._delay = 0.0  # of a motion, that is still to be made up for [s]
         self._changes = source.ChangeReader(config.contact_names)
         self._timing = source.Timing()

@@ -27,7 +27,7 @@ SAMPLES = 200  # of a sine, at which its speed is looked at
 BLEND_TIME = 1.5  # s, in which a sine comes and goes
 
 
-class Sine:
+class BlendedSine:
     """A sine along a world axis, of an amplitude [m] and a period [s], blended in and out."""
 
     def __init__(self, axis: str, amplitude: float, period: float) -> None:
@@ -36,40 +36,38 @@ class Sine:
             start_time=0.0, amplitude=amplitude, period=period, blend_time=BLEND_TIME
         )
         self._direction = np.eye(3)['xyz'.index(axis)]
-        self.way = amplitude * self._direction
-        self._time, self._end = 0.0, math.inf
+        self.reach = amplitude * self._direction  # to either side [m]
+        self._time = 0.0
+        self._end = math.inf
 
-    def fade(self) -> None:
+    def fade_out(self) -> None:
         """Come to the middle again, and end."""
         self._end = min(self._end, self._time + BLEND_TIME)
 
     @property
-    def fastest(self) -> tuple[float, float]:
+    def largest_rates(self) -> tuple[float, float]:
         """Return its largest speed [m/s] and acceleration [m/s^2], while it comes or stays."""
         times = np.linspace(0.0, BLEND_TIME + self._config.period, SAMPLES)
-        values = np.abs(
-            [evaluate_sine_motion(self._config, time) for time in times]
-        ).max(axis=0)
-        return float(values[1]), float(values[2])
+        values = np.abs([evaluate_sine_motion(self._config, time) for time in times])
+        _, speed, acceleration = values.max(axis=0)
+        return float(speed), float(acceleration)
 
     @property
-    def over(self) -> bool:
-        """Whether it has ended."""
+    def has_ended(self) -> bool:
+        """Whether it has come to the middle and ended."""
         return self._time >= self._end
 
     def advance(self, period: float) -> Matrix:
         """Go on for a period [s]; return displacement, velocity and acceleration, shape (3, 3)."""
         self._time += period
         s, ds, dds = evaluate_sine_motion(self._config, self._time)
-        b, db, ddb = quintic_blend(
-            self._end - self._time, BLEND_TIME
-        )  # in time until the end
-        return np.outer(
-            (b * s, b * ds - db * s, b * dds - 2.0 * db * ds + ddb * s), self._direction
-        )
+        # Of the time until the end, which runs backwards.
+        b, db, ddb = quintic_blend(self._end - self._time, BLEND_TIME)
+        blended = (b * s, b * ds - db * s, b * dds - 2.0 * db * ds + ddb * s)
+        return np.outer(blended, self._direction)
 
 
-class Motion:
+class CommandedMotion:
     """
     Where the operational point is to be, period by period, within the workspace of `limits`.
 
@@ -88,13 +86,13 @@ class Motion:
         """Begin at rest at a pose [m], and ask for nothing."""
         self._quaternion = np.array(quaternion, dtype=float)
         self._place = np.array(position, dtype=float)
-        self._goal, self._speed = self._place.copy(), np.zeros(3)
+        self._goal = self._place.copy()
+        self._speed = np.zeros(3)
         self._acceleration = self._largest_acceleration  # at most, of the approach
-        self._sent, self._sent_speed = (
-            self._place.copy(),
-            np.zeros(3),
-        )  # by the last answer
-        self._sines: list[Sine] = []
+        # What the last answer of `advance` was.
+        self._sent = self._place.copy()
+        self._sent_speed = np.zeros(3)
+        self._sines: list[BlendedSine] = []
         self._moving = False
 
     @property
@@ -112,12 +110,18 @@ class Motion:
     def go_to(self, position: Sequence[float] | Vector) -> str:
         """Go to a position [m]; CommandError if it is not in the workspace."""
         goal = np.array(position, dtype=float)
-        for way in [sine.way for sine in self._sines] or [np.zeros(3)]:
-            check_position(goal - way, self._limits)
-            check_position(goal + way, self._limits)
-        self._goal, self._moving = goal, True
+        self._check_reach(goal, [np.zeros(3), *(sine.reach for sine in self._sines)])
+        self._goal = goal
+        self._moving = True
         self._acceleration = self._largest_acceleration
-        return f'going to {", ".join(f"{1e3 * x:.0f}" for x in goal)} mm'
+        millimetres = [f'{1e3 * coordinate:.0f}' for coordinate in goal]
+        return f'going to {", ".join(millimetres)} mm'
+
+    def _check_reach(self, middle: Vector, reaches: Sequence[Vector]) -> None:
+        """Check that motions to either side of a place stay in the workspace; CommandError."""
+        for reach in reaches:
+            check_position(middle - reach, self._limits)
+            check_position(middle + reach, self._limits)
 
     def jog(self, offset: Sequence[float] | Vector) -> str:
         """Go so far [m] from the goal, or from here; CommandError if that is not allowed."""
@@ -125,35 +129,33 @@ class Motion:
 
     def start_sine(self, axis: str, amplitude: float, period: float) -> str:
         """
-        Begin a `Sine` around the goal, and end another.
+        Begin a `BlendedSine` around the goal, and end another.
 
         CommandError if it reaches too far, or is too fast for the limits beside a way to a goal.
         """
-        sine = Sine(axis, amplitude, period)
-        speed, acceleration = sine.fastest
-        twist, rate = np.zeros(6), np.zeros(6)
+        sine = BlendedSine(axis, amplitude, period)
+        speed, acceleration = sine.largest_rates
+        twist = np.zeros(6)
         twist[0] = speed + self._largest_speed
+        rate = np.zeros(6)
         rate[0] = acceleration + self._largest_acceleration
         check_twist(twist, rate, self._limits)
-        check_position(self._goal - sine.way, self._limits)
-        check_position(self._goal + sine.way, self._limits)
+        self._check_reach(self._goal, [sine.reach])
         for other in self._sines:
-            other.fade()
+            other.fade_out()
         self._sines.append(sine)
         self._moving = True
         return f'{sine.name}, {1e3 * amplitude:g} mm, {period:g} s'
 
     def stop(self) -> str:
         """Come to rest as near as the acceleration allows to where the point is on its way."""
-        # That of a sine keeps it within the way of the sine.
-        self._acceleration = max(
-            [self._largest_acceleration, *(sine.fastest[1] for sine in self._sines)]
-        )
-        self._place, self._speed, self._sines = (
-            self._sent.copy(),
-            self._sent_speed.copy(),
-            [],
-        )
+        self._acceleration = self._largest_acceleration
+        for sine in self._sines:
+            _, acceleration = sine.largest_rates  # keeps it within the way of the sine
+            self._acceleration = max(self._acceleration, acceleration)
+        self._place = self._sent.copy()
+        self._speed = self._sent_speed.copy()
+        self._sines = []
         speed = float(np.linalg.norm(self._speed))
         self._goal = self._place + self._speed * speed / (2.0 * self._acceleration)
         return 'coming to rest'
@@ -172,34 +174,37 @@ class Motion:
         steps = max(1, math.ceil(period / LONGEST_STEP))
         for _ in range(steps):
             change = self._step(period / steps)
-        now = np.array([self._place, self._speed, change]) + sum(
-            (sine.advance(period) for sine in self._sines), np.zeros((3, 3))
+        now = np.array([self._place, self._speed, change])
+        displacement = np.zeros((3, 3))
+        for sine in self._sines:
+            displacement += sine.advance(period)
+        now += displacement
+        self._sines = [sine for sine in self._sines if not sine.has_ended]
+        is_on_its_way = np.any(self._place != self._goal) or np.any(self._speed)
+        self._moving = bool(self._sines or is_on_its_way)
+        self._sent, self._sent_speed, acceleration = now
+        at_rest = np.zeros(3)  # the orientation stays
+        return MotionReading(
+            self._sent,
+            self._quaternion,
+            np.concatenate([self._sent_speed, at_rest]),
+            np.concatenate([acceleration, at_rest]),
         )
-        self._sines = [sine for sine in self._sines if not sine.over]
-        self._moving = bool(
-            self._sines or np.any(self._place != self._goal) or np.any(self._speed)
-        )
-        self._sent, self._sent_speed = now[:2]
-        twist, acceleration = np.zeros(6), np.zeros(6)
-        twist[:3], acceleration[:3] = now[1:]
-        return MotionReading(now[0], self._quaternion, twist, acceleration)
 
     def _step(self, h: float) -> Vector:
         """Approach the goal for a short time [s]; return the acceleration."""
         way = self._goal - self._place
-        speed = _bounded(APPROACH_RATE * way, self._largest_speed)
-        change = _bounded(SPEED_RATE * (speed - self._speed), self._acceleration)
+        speed = _limit_length(APPROACH_RATE * way, self._largest_speed)
+        change = _limit_length(SPEED_RATE * (speed - self._speed), self._acceleration)
         self._place += h * self._speed + 0.5 * h * h * change
         self._speed += h * change
         if np.abs(way).max() < ARRIVED and np.abs(self._speed).max() < ARRIVED:
-            self._place, self._speed, change = (
-                self._goal.copy(),
-                np.zeros(3),
-                np.zeros(3),
-            )
+            self._place = self._goal.copy()
+            self._speed = np.zeros(3)
+            return np.zeros(3)
         return change
 
 
-def _bounded(vector: Vector, largest: float) -> Vector:
+def _limit_length(vector: Vector, largest: float) -> Vector:
     size = float(np.sqrt(vector @ vector))
     return vector if size <= largest else vector * (largest / size)

@@ -18,7 +18,7 @@ from multicontact_control.sensor.push_test import CANCELLED
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view.access import guarding
 from multicontact_control.view.controls import Controls, Requests
-from multicontact_control.view.curves import COLOURS, Curves
+from multicontact_control.view.curves import COLOURS, CurveCharts
 from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
 from multicontact_control.view.source import Scene, Snapshot, Source
 import numpy as np
@@ -131,7 +131,7 @@ class Page:
         gui.main_panel.set_width(CONTROLS_WIDTH)
         panel = gui.add_panel()
         with panel.add_tab('Curves'):
-            self.curves = Curves(
+            self.curves = CurveCharts(
                 gui,
                 scene.config.column_names,
                 scene.config.robot.joint_names,
@@ -168,7 +168,7 @@ class Page:
             if snapshot.anew:
                 self._events.clear()
             self.newest, self._answered = snapshot, True
-            self.curves.history.add(snapshot.points)
+            self.curves.history.add_points(snapshot.points)
             self._events.extend(snapshot.events)
         if self.newest is not None and self.server.get_clients():
             self._write(self._show, self.newest, bool(snapshots))

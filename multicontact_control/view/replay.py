@@ -32,7 +32,7 @@ from multicontact_control.runs.recording import (
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
-from multicontact_control.view.curves import extremes
+from multicontact_control.view.curves import block_extremes
 import numpy as np
 
 LOOKED_BACK = 60.0  # s, of curves after a jump
@@ -196,7 +196,7 @@ def block_points(data: RunData, config: ControllerConfig) -> Matrix:
             np.abs(data.torque) / limit,
         ]
     )
-    return extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
+    return block_extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
 
 
 def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:

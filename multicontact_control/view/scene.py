@@ -7,7 +7,12 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.view.shapes import read_shapes, rod, TOOL, wxyz_of
+from multicontact_control.view.shapes import (
+    make_rod,
+    read_shapes,
+    TOOL,
+    viser_quaternion,
+)
 from multicontact_control.view.source import Push, Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -77,7 +82,9 @@ class SceneView:
         )
         start = own.rotation_world.T @ (sensor.position_world - own.position_world)
         for point in self._points:
-            self._shapes[names.operational_frame].add_geometry(rod(start, point, TOOL))
+            self._shapes[names.operational_frame].add_geometry(
+                make_rod(start, point, TOOL)
+            )
 
     def _look(self, server: Any) -> None:
         placed = [
@@ -221,7 +228,7 @@ class SceneView:
                 self._robot.compute_link_poses(snapshot.q, [*self._links]),
             ):
                 link.position = pose.position_world
-                link.wxyz = wxyz_of(Rotation.from_matrix(pose.rotation_world))
+                link.wxyz = viser_quaternion(Rotation.from_matrix(pose.rotation_world))
         if not (
             np.isfinite(snapshot.position).all()
             and np.isfinite(snapshot.quaternion).all()
@@ -265,7 +272,7 @@ class SceneView:
             tip.position, normal = point, snapshot.normals_world[i]
             if self._contacts[i].type != 'point':
                 along = rotation @ self._contacts[i].direction_operational
-                tip.wxyz = wxyz_of(
+                tip.wxyz = viser_quaternion(
                     Rotation.align_vectors([along, normal], np.eye(3)[[0, 2]])[0]
                 )
             colour = STATE_COLOURS.get(state, STATE_COLOURS['free'])

@@ -27,9 +27,11 @@ from sim_bridge.robots import DEFAULT, find_robot
 
 def run_faults(plant, faults, seed, folder):
     """Yield the `FaultRow` of each fault in graphs of a plant, a new one after each unsafe."""
-    setup, faults = resolve('quick', plant=plant, seed=seed), list(faults)
+    setup = resolve('quick', plant=plant, seed=seed)
+    faults = list(faults)
     while faults:
-        graph_folder, safe = folder / f'{plant}-{len(faults):03d}', False
+        graph_folder = folder / f'{plant}-{len(faults):03d}'
+        safe = False
         graph_folder.mkdir(parents=True)
         try:
             with (
@@ -45,22 +47,32 @@ def run_faults(plant, faults, seed, folder):
                 if safe:
                     problems = ', '.join(graph.end_all())
                     safe = not problems
-                    yield FaultRow(
-                        'ended',
-                        'graph',
-                        seed,
-                        'none',
-                        0.0,
-                        0.0,
-                        0.0,
-                        safe,
-                        plant,
-                        '',
-                        problems,
-                    )
+                    yield row_of_end(plant, seed, problems)
         finally:
             if safe:  # bags and logs stay where something was not
                 shutil.rmtree(graph_folder)
+
+
+def row_of_end(plant, seed, problems):
+    """Return the row of a graph that ends after its faults."""
+    return FaultRow(
+        kind='ended',
+        input='graph',
+        seed=seed,
+        reaction='none',
+        time_to_safe_s=0.0,
+        peak_force_n=0.0,
+        peak_torque_fraction=0.0,
+        safe=not problems,
+        plant=plant,
+        phase='',
+        problems=problems,
+    )
+
+
+def join_reactions(reactions):
+    """Return the reactions of several rows as a text."""
+    return ', '.join(sorted(set(reactions)))
 
 
 def main(arguments=None):
@@ -87,41 +99,38 @@ def main(arguments=None):
         help='a new folder (%(default)s)',
     )
     options = parser.parse_args(arguments)
-    random, rows, problems = np.random.default_rng(options.seed), [], []
+    random = np.random.default_rng(options.seed)
+    rows, problems = [], []
     options.out.mkdir(parents=True)
     try:
         for plant in options.plants:
             chosen = random.permutation(list(GRAPH_FAULTS.values()))[: options.count]
-            rows.extend(
-                track(
-                    run_faults(plant, chosen, options.seed, options.out),
-                    plant,
-                    len(chosen) + 1,
-                )
-            )
+            results = run_faults(plant, chosen, options.seed, options.out)
+            rows.extend(track(results, plant, len(chosen) + 1))
     except (RunError, KeyboardInterrupt) as error:
         problems.append(f'ended early: {error or "interrupted"}')
     rows_as_json = replace_nonfinite_numbers([asdict(row) for row in rows])
     replace_json_file(options.out / 'faults.json', rows_as_json)
     if rows:
-        print(
+        summary = (
             pd.DataFrame(rows)
             .groupby(['input', 'kind'])
             .agg(
                 n=('safe', 'size'),
-                reaction=('reaction', lambda x: ', '.join(sorted(set(x)))),
+                reaction=('reaction', join_reactions),
                 safe_s=('time_to_safe_s', 'max'),
                 force_n=('peak_force_n', 'max'),
                 torque=('peak_torque_fraction', 'max'),
                 safe=('safe', 'all'),
             )
-            .to_string()
         )
-    problems += [
-        f'not safe: {row.plant}, {row.input} {row.kind}, seed {row.seed}: {row.problems}'
-        for row in rows
-        if not row.safe
-    ]
+        print(summary.to_string())
+    for row in rows:
+        if not row.safe:
+            problems.append(
+                f'not safe: {row.plant}, {row.input} {row.kind}, seed {row.seed}: '
+                f'{row.problems}'
+            )
     print(*problems, sep='\n')
     return 1 if problems else 0
 

@@ -6,7 +6,7 @@ Nodes are processes and time is real. The operator presses on every contact and 
 
 from collections import deque
 from dataclasses import replace
-from itertools import takewhile
+from itertools import pairwise
 import math
 import os
 from pathlib import Path
@@ -42,17 +42,16 @@ REMEMBERED = 30_000  # messages per topic: a minute at 500 Hz
 AMPLITUDE, MOTION_PERIOD = 0.03, 3.0  # m, s of the motion along x
 QUIET, FAULT_TIME = (0.0, 0.3), (0.1, 0.4)  # s before a fault, and of one
 HALT_TIME, OUTAGE = (0.02, 0.2), (0.0, 0.5)  # s, of a process
-# s without a command while samples come: that counts as silence, and that no controller may take.
-SILENCE, STOPPED = 0.1, 0.3
-POLL_PERIOD, SETTLE_TIME = 0.005, 0.2  # s, the latter to average forces
-WANTED_FORCE, FORCE_TOLERANCE = (
-    10.0,
-    0.25,
-)  # N at every contact, and the share that is near it
-RECOVERY_TIME, ATTEMPTS = (
-    90.0,
-    3,
-)  # s on a busy machine, with so many attempts at contact
+SILENCE = (
+    0.1  # s without a command while samples come, from which on it counts as silence
+)
+STOPPED = 0.3  # s of silence that no controller may take
+POLL_PERIOD = 0.005  # s
+SETTLE_TIME = 0.2  # s over which forces are averaged
+WANTED_FORCE = 10.0  # N at every contact
+FORCE_TOLERANCE = 0.25  # share of that which a force may be off
+RECOVERY_TIME = 90.0  # s, on a busy machine
+ATTEMPTS = 3  # at contact in that time
 # A machine without real-time priority has hiccups of many periods: no faults to be answered here.
 PATIENT = {
     'patience': 10.0,
@@ -72,25 +71,21 @@ class Graph(link.ServiceClientNode):
             'lifecycle_driver', domain_id, keep_waiting=lambda what: self.poll()
         )
         self.setup = setup
-        self.processes = NodeProcesses(
-            spec.GraphSpec(
-                out=folder,
-                ticks=0,
-                rate=setup.controller.rate,
-                seed=setup.seed,
-                free_running=True,
-                domain_id=domain_id,
-                parameter_files=setup.write(folder / 'config'),
-                remappings={
-                    CONTROLLER: {x.name: PREFIX + x.name for x in INPUTS.values()}
-                },
-                extra_parameters={
-                    x: {'startup_peers': [], **(PATIENT if x == CONTROLLER else {})}
-                    for x in spec.START_ORDER
-                },
-            ),
-            domain_id,
+        extra_parameters = {name: {'startup_peers': []} for name in spec.START_ORDER}
+        extra_parameters[CONTROLLER] |= PATIENT
+        relayed = {topic.name: PREFIX + topic.name for topic in INPUTS.values()}
+        graph = spec.GraphSpec(
+            out=folder,
+            ticks=0,
+            rate=setup.controller.rate,
+            seed=setup.seed,
+            free_running=True,
+            domain_id=domain_id,
+            parameter_files=setup.write(folder / 'config'),
+            remappings={CONTROLLER: relayed},
+            extra_parameters=extra_parameters,
         )
+        self.processes = NodeProcesses(graph, domain_id)
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
         self._subscriptions = {
             topic: self.node.create_subscription(
@@ -100,7 +95,10 @@ class Graph(link.ServiceClientNode):
         }
         # When messages were sent [s], and their efforts by name; all until `polled` [s].
         self.heard = {topic: deque(maxlen=REMEMBERED) for topic in CHECKED}
-        self.pose, self.home, self.polled, self.moves = None, None, math.inf, False
+        self.polled = math.inf
+        self.pose = None
+        self.home = None
+        self.moves = False
         self._force_command = create_publisher(self.node, topics.FORCE_COMMAND)
         self._motion_command = create_publisher(self.node, topics.MOTION_COMMAND)
         self._relay = subprocess.Popen(
@@ -137,31 +135,39 @@ class Graph(link.ServiceClientNode):
         self.polled = time.time()
         for topic, subscription in self._subscriptions.items():
             while (taken := take_message(subscription)) is not None:
-                message, sent = taken[0], taken[1]['source_timestamp'] * 1e-9
+                message, info = taken
                 if topic is topics.POSE_DESIRED:
                     self.pose = message
                 else:
-                    self.heard[topic].append(
-                        (sent, dict(zip(message.name, message.effort)))
-                    )
+                    efforts = dict(zip(message.name, message.effort))
+                    sent = info['source_timestamp'] * 1e-9
+                    self.heard[topic].append((sent, efforts))
         if self.moves and self.pose is not None:
-            w = 2.0 * math.pi / MOTION_PERIOD
-            phase = w * messages.stamp_to_ns(self.pose.header.stamp) * 1e-9
-            x = AMPLITUDE * np.eye(6)[0]
-            self._motion_command.publish(
-                messages.motion_message(
-                    self.home[0] + math.sin(phase) * x[:3],
-                    self.home[1],
-                    w * math.cos(phase) * x,
-                    -w * w * math.sin(phase) * x,
-                )
-            )
+            self._command_motion()
         self.processes.check_running()
+
+    def _command_motion(self):
+        """Command where the sine along x is now."""
+        position, quaternion = self.home
+        w = 2.0 * math.pi / MOTION_PERIOD
+        phase = w * messages.stamp_to_ns(self.pose.header.stamp) * 1e-9
+        x = AMPLITUDE * np.eye(6)[0]
+        motion = messages.motion_message(
+            position + math.sin(phase) * x[:3],
+            quaternion,
+            w * math.cos(phase) * x,
+            -w * w * math.sin(phase) * x,
+        )
+        self._motion_command.publish(motion)
 
     def since(self, topic, start):
         """Return when [s] and what was sent on a topic from a time on."""
-        newest = takewhile(lambda x: x[0] >= start, reversed(self.heard[topic]))
-        return list(newest)[::-1]
+        found = deque()
+        for sent, values in reversed(self.heard[topic]):  # of a minute, some tenths
+            if sent < start:
+                break
+            found.appendleft((sent, values))
+        return list(found)
 
     def comes(self, condition, timeout):
         """Let the graph run until something happens; return whether it does in time [s]."""
@@ -182,13 +188,14 @@ class Graph(link.ServiceClientNode):
 
     def start_motion(self):
         """Command the forces and the motion; return whether there is a controller to obey."""
-        if self.pose is None or not all(
-            x.get_subscription_count()
-            for x in (self._force_command, self._motion_command)
-        ):
+        if self.pose is None:
             return False
-        p, q = self.pose.pose.position, self.pose.pose.orientation
-        self.home = self.home or (np.array([p.x, p.y, p.z]), [q.x, q.y, q.z, q.w])
+        for publisher in (self._force_command, self._motion_command):
+            if not publisher.get_subscription_count():
+                return False
+        if self.home is None:
+            p, q = self.pose.pose.position, self.pose.pose.orientation
+            self.home = np.array([p.x, p.y, p.z]), [q.x, q.y, q.z, q.w]
         self.moves = True
         self._command_forces(self.wanted)
         return True
@@ -200,7 +207,8 @@ class Graph(link.ServiceClientNode):
 
     def inject(self, fault, seed):
         """Let a fault happen; what a node was led down from is left to `recover`."""
-        action, random = fault.action, fault.random_source(seed)
+        action = fault.action
+        random = fault.random_source(seed)
         if fault.input == CONTROLLER and action.steps != HALT:
             self.moves = False  # no motion is commanded meanwhile
         duration = float(random.uniform(*FAULT_TIME))
@@ -213,11 +221,11 @@ class Graph(link.ServiceClientNode):
             process.kill()
             process.join()
             self.spin(float(random.uniform(*OUTAGE)))
-            # What the killed one has recorded is not overwritten.
-            folder = self.processes.spec.out.resolve() / f'bag-{time.time_ns()}'
-            self.processes.start(
-                fault.input, {'folder': str(folder)} if fault.input == RECORDER else {}
-            )
+            parameters = {}
+            if fault.input == RECORDER:  # what the killed one has recorded stays
+                folder = self.processes.spec.out.resolve() / f'bag-{time.time_ns()}'
+                parameters['folder'] = str(folder)
+            self.processes.start(fault.input, parameters)
         elif action.steps == HALT:
             pid = self.processes.running[fault.input].pid
             os.kill(pid, signal.SIGSTOP)
@@ -239,7 +247,8 @@ class Graph(link.ServiceClientNode):
         self._distort('')
         for name in spec.MANAGED:
             self._driver.configure_and_activate(name)
-        start, self.pose = time.time(), None
+        self.pose = None
+        start = time.time()
         self.wait(lambda: self.since(topics.EFFORT_COMMAND, start), 'commands')
         self.wait(lambda: self.since(topics.NOISE_VARIANCE, start), 'noise variances')
         for _ in range(ATTEMPTS):
@@ -264,7 +273,8 @@ class Graph(link.ServiceClientNode):
 
     def break_once(self, fault, seed):
         """Let a fault happen and recover; return the `FaultRow`."""
-        problems, begin, recovered = [], time.time(), False
+        problems, recovered = [], False
+        begin = time.time()
         try:
             self.spin(float(fault.random_source(seed).uniform(*QUIET)))
             begin = time.time()
@@ -277,51 +287,27 @@ class Graph(link.ServiceClientNode):
         if fault.goes_on and any(stop - start > STOPPED for start, stop in silences):
             seen.problems.add('commands stopped')
         # The first command of a controller is what the drives do.
-        row = outcomes.judge_fault(
-            fault,
-            seed,
-            self.setup,
-            seen._replace(limited_rate=fault.input != CONTROLLER),
-        )
-        safe = max(
-            [row.time_to_safe_s, *(round(stop - begin, 6) for _, stop in silences)]
-        )
-        return replace(row, time_to_safe_s=safe if recovered else math.inf)
+        seen = seen._replace(limited_rate=fault.input != CONTROLLER)
+        row = outcomes.judge_fault(fault, seed, self.setup, seen)
+        if not recovered:
+            return replace(row, time_to_safe_s=math.inf)
+        ends = [round(stop - begin, 6) for _, stop in silences]
+        return replace(row, time_to_safe_s=max([row.time_to_safe_s, *ends]))
 
     def observe(self, begin, problems):
         """Return what is seen of a fault from `begin` [s] on, and its silences [s]."""
         heard = {topic: self.since(topic, begin) for topic in CHECKED}
-        problems = {
-            *problems,
-            *(
-                f'{topic.name} not finite'
-                for topic, sent in heard.items()
-                if topic is not topics.EFFORT_COMMAND  # that is for the judge
-                and not all(
-                    math.isfinite(x) for _, values in sent for x in values.values()
-                )
-            ),
-        }
+        problems = set(problems)
+        for topic, sent in heard.items():
+            if topic is topics.EFFORT_COMMAND:  # that is for the judge
+                continue
+            values = [value for _, efforts in sent for value in efforts.values()]
+            if not np.isfinite(values).all():
+                problems.add(f'{topic.name} not finite')
         commands, forces = heard[topics.EFFORT_COMMAND], heard[topics.TRUE_FORCES]
-        joints, rate = (
-            self.setup.controller.robot.joint_names,
-            self.setup.controller.rate,
-        )
+        joints = self.setup.controller.robot.joint_names
         samples = np.array([sent for sent, _ in forces])
-        # From when to when samples came, but no commands. Samples were looked for after the
-        # commands, on a busy machine long after.
-        edges = [
-            begin,
-            *(sent for sent, _ in commands),
-            min([*samples[-1:], self.polled]),
-        ]
-        silences = [
-            (start, stop)
-            for start, stop in zip(edges, edges[1:])
-            if stop - start > SILENCE
-            and np.count_nonzero((samples > start) & (samples < stop))
-            > 0.5 * (stop - start) * rate
-        ]
+        silences = self._silences(begin, [sent for sent, _ in commands], samples)
         torque = np.array([[values[name] for name in joints] for _, values in commands])
         return outcomes.Observation(
             torque=torque.reshape(-1, len(joints)),
@@ -330,3 +316,18 @@ class Graph(link.ServiceClientNode):
             reaction='silent' if silences else 'commands',
             problems=problems,
         ), silences
+
+    def _silences(self, begin, commands, samples):
+        """
+        Return from when to when samples came, but no commands [s].
+
+        Samples are looked for after the commands, on a busy machine long after.
+        """
+        end = min([*samples[-1:], self.polled])
+        silences = []
+        for start, stop in pairwise([begin, *commands, end]):
+            between = np.count_nonzero((samples > start) & (samples < stop))
+            expected = (stop - start) * self.setup.controller.rate
+            if stop - start > SILENCE and between > 0.5 * expected:
+                silences.append((start, stop))
+        return silences

@@ -1,7 +1,8 @@
 """The faults of a running graph: of its nodes and messages; `study faults` has those of values."""
 
-from collections import namedtuple
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from multicontact_control.faults.vocabulary import (
     CLOCK,
@@ -13,22 +14,36 @@ from multicontact_control.faults.vocabulary import (
     STOPPED,
 )
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
+import numpy as np
 
 KILL, HALT = ('kill',), ('halt',)
+DEACTIVATE, RESTART = ('deactivate',), ('deactivate', 'activate') * 2
+CONFIGURE_AGAIN = ('deactivate', 'cleanup', 'configure')
 BURST = 10  # messages that come at once
 
 
-# Other messages than the n-th of a fault, by how many messages ago they came; other names in a
-# message, or a stamp by so many seconds later; what is done to a node: kill, halt, or transitions.
-Resending, Renaming, ClockShift, NodeChange = (
-    namedtuple(name, field)
-    for name, field in (
-        ('Resending', 'ages'),
-        ('Renaming', 'change'),
-        ('ClockShift', 'shift'),
-        ('NodeChange', 'steps'),
-    )
-)
+class Resending(NamedTuple):
+    """Other messages are sent on in the place of the n-th: by how many messages they are older."""
+
+    ages: Callable[[np.random.Generator, int], Sequence[int]]
+
+
+class Renaming(NamedTuple):
+    """A message has other names."""
+
+    change: Callable[[list[str]], list[str]]
+
+
+class ClockShift(NamedTuple):
+    """Stamps are later [s]."""
+
+    shift: float
+
+
+class NodeChange(NamedTuple):
+    """A node is killed, halted, or led through transitions of its life cycle."""
+
+    steps: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -38,58 +53,98 @@ class GraphFault(Fault):
     goes_on: bool = True
 
 
-WAYS = {  # by which messages are sent on in the place of the n-th
-    'dropped': lambda random, n: (),
-    'delayed': lambda random, n: (10,),
-    'stuck': lambda random, n: (n + 1,),
-    'out_of_order': lambda random, n: (0, 25),
-    'duplicated': lambda random, n: (0, 0),
-    'reordered': lambda random, n: (0, 1) if n % 2 else (),
-    'intermittent': lambda random, n: () if random.random() < LOSS else (0,),
-    'burst': lambda random, n: (
-        tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ()
-    ),
+def drop(random, n):
+    return ()
+
+
+def delay(random, n):
+    return (10,)
+
+
+def repeat_first(random, n):
+    return (n + 1,)
+
+
+def add_an_old_one(random, n):
+    return (0, 25)
+
+
+def duplicate(random, n):
+    return (0, 0)
+
+
+def swap_pairs(random, n):
+    return (0, 1) if n % 2 else ()
+
+
+def drop_at_random(random, n):
+    return () if random.random() < LOSS else (0,)
+
+
+def collect_into_bursts(random, n):
+    if n % BURST < BURST - 1:
+        return ()
+    return tuple(reversed(range(BURST)))
+
+
+def rename_all(names):
+    return [f'other_{name}' for name in names]
+
+
+def leave_out_the_last(names):
+    return names[:-1]
+
+
+def double_the_first(names):
+    return [names[0], *names[:-1]]
+
+
+RESENDINGS = {
+    'dropped': drop,
+    'delayed': delay,
+    'stuck': repeat_first,
+    'out_of_order': add_an_old_one,
+    'duplicated': duplicate,
+    'reordered': swap_pairs,
+    'intermittent': drop_at_random,
+    'burst': collect_into_bursts,
 }
-NAMES = {
-    'wrong_names': lambda names: [f'other_{name}' for name in names],
-    'missing_name': lambda names: names[:-1],
-    'doubled_name': lambda names: [names[0], *names[:-1]],
+RENAMINGS = {
+    'wrong_names': rename_all,
+    'missing_name': leave_out_the_last,
+    'doubled_name': double_the_first,
 }
-DOWN, TWICE = ('deactivate',), ('deactivate', 'activate') * 2
-ANEW = ('deactivate', 'cleanup', 'configure')
-NODES = (  # what befalls which node, and whether commands have to go on
-    ('killed', ESTIMATOR, KILL, True),
-    ('killed', CONTROLLER, KILL, False),
-    ('killed', RECORDER, KILL, True),
-    ('halted', ESTIMATOR, HALT, True),
-    ('halted', CONTROLLER, HALT, False),
-    ('halted', RECORDER, HALT, True),
-    ('halted', SIM, HALT, False),
-    ('deactivated', ESTIMATOR, DOWN, True),
-    ('deactivated', CONTROLLER, DOWN, True),
-    ('reactivated', CONTROLLER, TWICE, True),
-    ('cleaned_up', ESTIMATOR, ANEW, True),
-    ('cleaned_up', CONTROLLER, ANEW, False),
+NODE_FAULTS = (
+    GraphFault('killed', ESTIMATOR, NodeChange(KILL)),
+    GraphFault('killed', CONTROLLER, NodeChange(KILL), goes_on=False),
+    GraphFault('killed', RECORDER, NodeChange(KILL)),
+    GraphFault('halted', ESTIMATOR, NodeChange(HALT)),
+    GraphFault('halted', CONTROLLER, NodeChange(HALT), goes_on=False),
+    GraphFault('halted', RECORDER, NodeChange(HALT)),
+    GraphFault('halted', SIM, NodeChange(HALT), goes_on=False),
+    GraphFault('deactivated', ESTIMATOR, NodeChange(DEACTIVATE)),
+    GraphFault('deactivated', CONTROLLER, NodeChange(DEACTIVATE)),
+    GraphFault('reactivated', CONTROLLER, NodeChange(RESTART)),
+    GraphFault('cleaned_up', ESTIMATOR, NodeChange(CONFIGURE_AGAIN)),
+    GraphFault('cleaned_up', CONTROLLER, NodeChange(CONFIGURE_AGAIN), goes_on=False),
 )
+CLOCK_FAULTS = (
+    GraphFault('ahead', CLOCK, ClockShift(0.1), STOPPED),
+    GraphFault('zero', CLOCK, ClockShift(-1e12), STOPPED),
+)
+
+
+def message_faults():
+    """Yield the faults of the messages of every input."""
+    for stream in REACTIONS:
+        for kind, ages in RESENDINGS.items():
+            yield GraphFault(kind, stream, Resending(ages))
+    for stream, declared in (('joints', FLOAT), ('variance', INFLATE)):
+        for kind, change in RENAMINGS.items():
+            yield GraphFault(kind, stream, Renaming(change), declared)
+
 
 GRAPH_FAULTS = {
     (fault.kind, fault.input): fault
-    for fault in (
-        *(
-            GraphFault(kind, node, NodeChange(steps), goes_on=goes_on)
-            for kind, node, steps, goes_on in NODES
-        ),
-        *(
-            GraphFault(kind, stream, Resending(ages))
-            for stream in REACTIONS
-            for kind, ages in WAYS.items()
-        ),
-        *(
-            GraphFault(kind, stream, Renaming(change), declared)
-            for stream, declared in (('joints', FLOAT), ('variance', INFLATE))
-            for kind, change in NAMES.items()
-        ),
-        GraphFault('ahead', CLOCK, ClockShift(0.1), STOPPED),
-        GraphFault('zero', CLOCK, ClockShift(-1e12), STOPPED),
-    )
+    for fault in (*NODE_FAULTS, *message_faults(), *CLOCK_FAULTS)
 }

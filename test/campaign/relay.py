@@ -29,7 +29,8 @@ class Stream:
     """The messages of one input, serialised; `history` has the good ones, newest last."""
 
     def __init__(self, node, topic):
-        self._message, self._fault = topic.message, None
+        self._message = topic.message
+        self._fault = None
         self.history = deque(maxlen=HISTORY)
         self._publisher = node.create_publisher(
             topic.message, PREFIX + topic.name, topic.profile
@@ -40,28 +41,30 @@ class Stream:
 
     def begin(self, fault, seed):
         """Begin a fault, or end it by None."""
-        self._random, self._passed, self._fault = np.random.default_rng(seed), 0, fault
+        self._random = np.random.default_rng(seed)
+        self._passed = 0
+        self._fault = fault
 
     def pass_on(self, data):
         """Publish the messages that go on in the place of one."""
         self.history.append(data)
-        for message in [data] if self._fault is None else self._damaged(data):
+        sent = [data] if self._fault is None else self._damaged(data)
+        for message in sent:
             self._publisher.publish(message)
 
     def _damaged(self, data):
-        n, action = self._passed, self._fault.action
+        action = self._fault.action
+        number = self._passed
         self._passed += 1
         if isinstance(action, Resending):
             last = len(self.history) - 1
-            return [
-                self.history[max(0, last - age)] for age in action.ages(self._random, n)
-            ]
+            ages = action.ages(self._random, number)
+            return [self.history[max(0, last - age)] for age in ages]
         message = deserialize_message(data, self._message)
         if isinstance(action, ClockShift):
             stamp = messages.stamp_to_ns(message.header.stamp)
-            message.header.stamp = messages.ns_to_stamp(
-                stamp + round(max(-stamp, 1e9 * action.shift))
-            )
+            shift = max(-stamp, 1e9 * action.shift)  # to 0 at most
+            message.header.stamp = messages.ns_to_stamp(stamp + round(shift))
         else:
             message.name = action.change(message.name)
         return [serialize_message(message)]
@@ -72,10 +75,8 @@ def main():
     start_ros([])
     node, executor = Node('fault_relay'), EventsExecutor()
     executor.add_node(node)
-    streams, line = (
-        {source: Stream(node, topic) for source, topic in INPUTS.items()},
-        'none',
-    )
+    streams = {source: Stream(node, topic) for source, topic in INPUTS.items()}
+    line = 'none'
     while line:
         executor.spin_once(timeout_sec=0.02)
         if not select([sys.stdin], [], [], 0.0)[0]:
@@ -85,7 +86,8 @@ def main():
             stream.begin(None, 0)
         if line.strip():
             source, kind, seed = line.split()
-            for name in ('joints', 'wrench') if source == CLOCK else (source,):
+            damaged = ('joints', 'wrench') if source == CLOCK else (source,)
+            for name in damaged:
                 streams[name].begin(GRAPH_FAULTS[kind, source], int(seed))
         print('done', flush=True)
 

@@ -10,7 +10,7 @@ code 1. The episodes are written to a file of JSON lines.
 import argparse
 from collections import deque
 import contextlib
-from itertools import pairwise
+from itertools import chain, pairwise
 import math
 from pathlib import Path
 import sys
@@ -46,15 +46,16 @@ EPISODES = {
     'fault': 0.24,
     'two faults': 0.06,
 }
-SETTLE_TIME, ATTEMPTS = (
-    15.0,
-    4,
-)  # s, and how often: from the second on with the operator's help
+SETTLE_TIME = 15.0  # s
+ATTEMPTS = 4  # of that, from the second on with the operator's help
 OFF = 0.15  # of the command, and 1 N: mean error over 0.5 s that is as commanded
-CHANGES_TIME, MOST_CHANGES = (
-    5.0,
-    10,
-)  # s, and changes in it beyond which a state alternates
+CHANGES_TIME = 5.0  # s
+MOST_CHANGES = 10  # in that time, beyond which a state alternates
+
+
+def is_passing(fault):
+    """Return whether the world is as before after a fault."""
+    return not (isinstance(fault.action, PlantEdit) and fault.action.end is None)
 
 
 class Soak:
@@ -64,30 +65,28 @@ class Soak:
         self.setup = fault_run.resolve_with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
-        self._faults = [
-            x
-            for x in FAULTS.values()
-            if not (isinstance(x.action, PlantEdit) and x.action.end is None)
-        ]  # the world is as before
+        self._faults = [fault for fault in FAULTS.values() if is_passing(fault)]
         config = self.setup.controller
-        self._rate, self._period = config.rate, config.period
+        self._rate = config.rate
+        self._period = config.period
         self._states = deque(maxlen=round(CHANGES_TIME * config.rate))
-        normals = np.array(
-            [config.contacts[name].normal_world for name in config.contact_names]
-        )
+        contacts = [config.contacts[name] for name in config.contact_names]
+        normals = np.array([contact.normal_world for contact in contacts])
         self._free = null_space(normals).T  # directions in which no contact is
         self.wanted = dict.fromkeys(config.contact_names, 0.0)
         pose = self.loop.advance().pose
-        self._before, self._problems = self.loop.command.copy(), set()
-        self._torques, self._forces, self._met = [], [], []
+        self._before = self.loop.command.copy()
+        self._begin_episode()
         # Of the start, not of the moment: errors of the orientation would add up.
-        self._start, self._turn = (
-            pose.position_world.copy(),
-            pose.quaternion_xyzw.copy(),
-        )
+        self._start = pose.position_world.copy()
+        self._turn = pose.quaternion_xyzw.copy()
         self._target = self._start
         self.command_forces()
         self.settle()
+
+    def _begin_episode(self):
+        self._problems = set()
+        self._torques, self._forces, self._obstacle_forces = [], [], []
 
     def episode(self):
         """Let one thing happen, and return its line."""
@@ -101,19 +100,10 @@ class Soak:
             self.wait(float(self._random.uniform(0.5, 3.0)))
             self.loop.control.hold(False)
         else:
-            kind = self._break(1 + (kind == 'two faults'))
+            kind = self._break(2 if kind == 'two faults' else 1)
         self.settle()
         _, errors = self.wait(float(self._random.uniform(*PAUSE)))
-        self._problems.update(
-            f'{name} oscillates at {line.frequency:.0f} Hz with {line.rms:.2g} N rms'
-            for (name, force), error in zip(self.wanted.items(), errors.T)
-            for line in find_oscillations(
-                error,
-                np.full(len(error), force),
-                np.ones(len(error), dtype=bool),
-                self._rate,
-            )
-        )
+        self._note_oscillations(errors)
         seen = Observation(
             torque=np.array(self._torques),
             torque_before=self._before,
@@ -122,11 +112,12 @@ class Soak:
             reaction='',
         )
         self._problems.update(find_violations(seen, self.setup)[0])
-        if max(self._met, default=0.0) > OBSTACLE_FORCE:
-            self._problems.add(f'{max(self._met):.0f} N on an obstacle')
+        obstacle_force = max(self._obstacle_forces, default=0.0)
+        if obstacle_force > OBSTACLE_FORCE:
+            self._problems.add(f'{obstacle_force:.0f} N on an obstacle')
         problems = sorted(self._problems)
-        self._before, self._problems = self._torques[-1], set()
-        self._torques, self._forces, self._met = [], [], []
+        self._before = self._torques[-1]
+        self._begin_episode()
         return {
             'time_s': round(self.loop.tick * self._period, 3),
             'episode': kind,
@@ -134,36 +125,44 @@ class Soak:
             'error_n': float(np.abs(errors.mean(axis=0)).max()),
         }
 
+    def _note_oscillations(self, errors):
+        """Note the forces that oscillate, from their errors, shape (ticks, r) [N]."""
+        counted = np.ones(len(errors), dtype=bool)
+        for (name, force), error in zip(self.wanted.items(), errors.T):
+            commanded = np.full(len(error), force)
+            for line in find_oscillations(error, commanded, counted, self._rate):
+                self._problems.add(
+                    f'{name} oscillates at {line.frequency:.0f} Hz '
+                    f'with {line.rms:.2g} N rms'
+                )
+
     def command_forces(self):
         """Command another force at every contact, or none."""
         smallest = self.setup.controller.contact_state.smallest_force
         for name in self.wanted:
             pressed = self._random.random() > 0.1
-            self.wanted[name] = pressed * float(
-                self._random.uniform(smallest, LARGEST_FORCE)
-            )
+            force = float(self._random.uniform(smallest, LARGEST_FORCE))
+            self.wanted[name] = force if pressed else 0.0
         self.loop.control.set_forces(self.wanted)
 
     def _move(self):
-        goal = (
-            self._start
-            + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
-        )
-        before, way = self._target, np.append(goal - self._target, np.zeros(3))
+        aside = self._random.uniform(-REACH, REACH, len(self._free))
+        goal = self._start + aside @ self._free
+        before = self._target
+        way = np.append(goal - before, np.zeros(3))
         duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
         for k in range(1, round(duration * self._rate) + 1):
             s, ds, dds = quintic_blend(k * self._period, duration)
-            self.loop.control.set_motion(
-                MotionReading(before + s * way[:3], self._turn, ds * way, dds * way)
-            )
+            place = before + s * way[:3]
+            motion = MotionReading(place, self._turn, ds * way, dds * way)
+            self.loop.control.set_motion(motion)
             self.advance()
         self._target = goal
 
     def _break(self, count):
         """Let faults of different inputs happen at the same time; return their names."""
-        by_input = {
-            fault.input: fault for fault in self._random.permutation(self._faults)
-        }
+        shuffled = self._random.permutation(self._faults)
+        by_input = {fault.input: fault for fault in shuffled}
         chosen = self._random.permutation(list(by_input.values()))[:count]
         occurrences = [
             fault_run.FaultOccurrence(fault, self._random, self.loop)
@@ -176,8 +175,10 @@ class Soak:
     def settle(self):
         """Wait until all is as commanded, and help if it does not come to that by itself."""
         for attempt in range(ATTEMPTS):
-            if any(self.wait(0.5)[0] for _ in range(round(SETTLE_TIME / 0.5))):
-                return
+            for _ in range(round(SETTLE_TIME / 0.5)):
+                as_commanded, _ = self.wait(0.5)
+                if as_commanded:
+                    return
             if attempt == 1:  # let go of everything first
                 self.loop.control.set_forces(dict.fromkeys(self.wanted, 0.0))
                 self.wait(1.0)
@@ -196,31 +197,28 @@ class Soak:
         for _ in range(round(duration * self._rate)):
             self.advance()
             forces.append(self.loop.sample.contact_force)
-        wanted, status = np.array(list(self.wanted.values())), self.loop.status
+        status = self.loop.status
+        wanted = np.array(list(self.wanted.values()))
+        pressed = wanted > 0.0
         errors = np.array(forces) - wanted
-        held = all(
-            state == STATE_NAMES[HOLDING]
-            for state, force in zip(status.contact_states, wanted)
-            if force > 0.0
-        )
+        held = np.array(status.contact_states) == STATE_NAMES[HOLDING]
         near = np.abs(errors.mean(axis=0)) <= np.maximum(1.0, OFF * wanted)
-        return held and status.reaction == 'none' and bool(
-            near[wanted > 0.0].all()
-        ), errors
+        as_commanded = bool((held & near)[pressed].all())
+        return as_commanded and status.reaction == 'none', errors
 
     def advance(self, faults=()):
         loop = self.loop
         fault_run.advance_with_faults(faults, loop)
         self._torques.append(loop.command.copy())
         self._forces.append(float(loop.sample.contact_force.max()))
-        self._met.append(float(loop.plant.contacts.obstacles.max(initial=0.0)))
+        obstacle_force = loop.plant.contacts.obstacles.max(initial=0.0)
+        self._obstacle_forces.append(float(obstacle_force))
         self._states.append((loop.status.reaction, *loop.status.contact_states))
         if loop.tick % round(self._rate) == 0:
-            self._problems.update(
-                f'{name} alternates'
-                for name, states in zip(('reaction', *self.wanted), zip(*self._states))
-                if sum(a != b for a, b in pairwise(states)) > MOST_CHANGES
-            )
+            for name, states in zip(('reaction', *self.wanted), zip(*self._states)):
+                changes = sum(a != b for a, b in pairwise(states))
+                if changes > MOST_CHANGES:
+                    self._problems.add(f'{name} alternates')
 
 
 def episodes(plant, seed, duration):
@@ -255,27 +253,23 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     count = max(len(options.plants), math.ceil(3600.0 * options.hours / LONGEST_PART))
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    parts = Parallel(-1, return_as='generator')(
-        delayed(episodes)(
-            options.plants[k % len(options.plants)],
-            options.seed + k,
-            3600.0 * options.hours / count,
-        )
-        for k in range(count)
-    )
-    lines = pd.DataFrame(sum(track(parts, 'soak', count), []))
+    duration = 3600.0 * options.hours / count
+    jobs = []
+    for k in range(count):
+        plant = options.plants[k % len(options.plants)]
+        jobs.append(delayed(episodes)(plant, options.seed + k, duration))
+    parts = track(Parallel(-1, return_as='generator')(jobs), 'soak', count)
+    lines = pd.DataFrame(list(chain.from_iterable(parts)))
     lines.to_json(options.out, orient='records', lines=True)
-    problems = lines[lines.problems.map(len) > 0]
-    print(
-        lines.groupby(['plant', 'seed'])
-        .agg(
-            seconds=('time_s', 'max'),
-            episodes=('episode', 'size'),
-            error_n=('error_n', 'mean'),
-            problems=('problems', lambda x: sum(map(len, x))),
-        )
-        .to_string()
+    lines['found'] = lines.problems.map(len)
+    summary = lines.groupby(['plant', 'seed']).agg(
+        seconds=('time_s', 'max'),
+        episodes=('episode', 'size'),
+        error_n=('error_n', 'mean'),
+        problems=('found', 'sum'),
     )
+    print(summary.to_string())
+    problems = lines[lines.found > 0]
     print(problems.to_string())
     return 1 if len(problems) else 0
 

@@ -8,10 +8,10 @@ arm that is not commanded may move by less than 5 mm. Exit code 1: it was otherw
 """
 
 import argparse
-from collections import namedtuple
 from contextlib import closing, suppress
 from itertools import product
 import sys
+from typing import NamedTuple
 
 from joblib import delayed, Parallel
 from multicontact_control.algebra import quintic_blend
@@ -28,80 +28,144 @@ import pandas as pd
 from rich.progress import track
 
 FAULTS = {f'{x.input}:{x.kind}': x for x in EVERY_FAULT.values() if x.from_start}
+
+
+class Arm(NamedTuple):
+    """An arm by its number of joints, its plant, and what is set over that."""
+
+    joints: int
+    plant: str
+    overrides: dict[str, str]
+
+
 ARMS = {
-    'puma': (6, 'rigid', {}),
-    'panda': (7, 'panda/rigid', {}),
-    'panda-mujoco': (7, 'panda/rigid', {'engine': 'mujoco'}),
+    'puma': Arm(6, 'rigid', {}),
+    'panda': Arm(7, 'panda/rigid', {}),
+    'panda-mujoco': Arm(7, 'panda/rigid', {'engine': 'mujoco'}),
 }
 FASTER, LARGEST_FORCE, FARTHEST = 0.3, 20.0, 0.005  # rad/s beyond a right run, N, m
 FORCE, WAY, BEGIN, SLIDE_TIME = 10.0, 0.05, 150, 1.5  # N, m, tick, s
 TICKS, LONG_TICKS = 1500, 5000  # of speeds and of wrenches
-Cell = namedtuple('Cell', 'arm commanded push_test fault place', defaults=('', 0))
+
+
+class Cell(NamedTuple):
+    """One run; without a fault, how it is when all is right."""
+
+    arm: str
+    commanded: bool
+    push_test: bool
+    fault: str = ''
+    place: int = 0
 
 
 def command(loop, home):
     """Press on the first contact, and slide along x."""
-    moved = quintic_blend(
-        (loop.tick - BEGIN) * loop.setup.controller.period, SLIDE_TIME
-    )
+    config = loop.setup.controller
+    moved = quintic_blend((loop.tick - BEGIN) * config.period, SLIDE_TIME)
     way, twist, acceleration = WAY * np.outer(moved, np.eye(6)[0])
+    goal = home.position_world + way[:3]
+    motion = MotionReading(goal, home.quaternion_xyzw, twist, acceleration)
     with suppress(CommandError):
         if not any(loop.control.commanded_forces.values()):
-            loop.control.set_forces({loop.setup.controller.contact_names[0]: FORCE})
-        loop.control.set_motion(
-            MotionReading(
-                home.position_world + way[:3], home.quaternion_xyzw, twist, acceleration
-            )
-        )
+            loop.control.set_forces({config.contact_names[0]: FORCE})
+        loop.control.set_motion(motion)
+
+
+def resolve_setup(cell):
+    """Return the setup of a cell; what would tell of a wrong wrench first is switched off."""
+    arm = ARMS[cell.arm]
+    controller = {'sensor': {'require_push_test': cell.push_test}}
+    if cell.fault.startswith('wrench'):
+        unseen = {'sensor': {'full_scale': []}, 'collision': {'reaction': 'none'}}
+        controller = merge(controller, unseen)
+    return resolve(
+        'quick', plant=arm.plant, plant_overrides=arm.overrides, controller=controller
+    )
+
+
+def make_occurrence(cell, loop):
+    """Return the fault of a cell at its place, of which half is the sign."""
+    fault = FAULTS[cell.fault]
+    occurrence = FaultOccurrence(fault, fault.random_source(0), loop)
+    count = len(getattr(loop.inputs(), fault.input)[1])
+    # The middle of the share that a place has of random numbers, and a sign.
+    share = (cell.place % count + 0.5) / count
+    occurrence.choice = np.array([share, cell.place // count])
+    return occurrence
+
+
+def causes_named(loop):
+    """Return what the status names, without joints."""
+    named = [*loop.status.causes, *loop.status.rejected]
+    causes = {cause.split('_joint')[0].split('_panda')[0] for cause in named}
+    if loop.control.supervisor.explanations.stray_force():
+        causes.add('wrench: stray force')
+    return causes
 
 
 def run(cell):
     """Return each joint's largest speed, the largest force and way, and the causes named."""
-    (_, plant, engine), fault = ARMS[cell.arm], FAULTS.get(cell.fault)
-    controller = {'sensor': {'require_push_test': cell.push_test}}
-    if cell.fault.startswith(
-        'wrench'
-    ):  # neither full scale nor a collision tells of it
-        controller = merge(
-            controller,
-            {'sensor': {'full_scale': []}, 'collision': {'reaction': 'none'}},
-        )
-    setup = resolve('quick', plant=plant, plant_overrides=engine, controller=controller)
-    robot, causes = RobotModel(setup.controller.robot, setup.urdf_dir), set()
-    speeds, forces, places, corrupt = [], [0.0], [], None
+    setup = resolve_setup(cell)
+    robot = RobotModel(setup.controller.robot, setup.urdf_dir)
+    speeds, forces, places = [], [0.0], []
+    causes, corrupt = set(), None
+    ticks = LONG_TICKS if cell.fault.startswith('wrench') else TICKS
+    # RunError: the arm is thrown out of all numbers.
     with closing(ClosedLoop(setup, commanded=True)) as loop, suppress(RunError):
-        if (
-            fault
-        ):  # the middle of the share that a place has of random numbers, and a sign
-            occurrence = FaultOccurrence(fault, fault.random_source(0), loop)
-            count = len(getattr(loop.inputs(), fault.input)[1])
-            occurrence.choice = np.array(
-                [(cell.place % count + 0.5) / count, cell.place // count]
-            )
-            corrupt = occurrence.corrupt_inputs  # throughout
+        if cell.fault:
+            corrupt = make_occurrence(cell, loop).corrupt_inputs  # throughout
         home = robot.update(loop.sample.q, loop.sample.qd).pose
-        for _ in range(LONG_TICKS if cell.fault.startswith('wrench') else TICKS):
-            loop.advance(corrupt)  # RunError: thrown out of all numbers
+        for _ in range(ticks):
+            loop.advance(corrupt)
             if cell.commanded and loop.tick > BEGIN:
                 command(loop, home)
+            pose = robot.update(loop.plant.arm.q, loop.sample.qd).pose
             speeds.append(np.abs(loop.plant.arm.qd))
             forces.append(loop.sample.contact_force.max())
-            places.append(
-                robot.update(loop.plant.arm.q, loop.sample.qd).pose.position_world
-            )
-            causes.update(
-                x.split('_joint')[0].split('_panda')[0]
-                for x in (*loop.status.causes, *loop.status.rejected)
-            )
-            stray = loop.control.supervisor.explanations.stray_force()
-            causes.update(['wrench: stray force'] * bool(stray))
-    way = np.linalg.norm(np.array(places) - home.position_world, axis=1).max()
+            places.append(pose.position_world)
+            causes |= causes_named(loop)
+    ways = np.linalg.norm(np.array(places) - home.position_world, axis=1)
     return {
         'speed': np.max(speeds, axis=0),
         'force': max(forces),
-        'way': way,
+        'way': ways.max(),
         'causes': causes,
     }
+
+
+def count_places(arm, fault):
+    """Return in how many places a fault befalls an arm, one after the other."""
+    if 'biased' in fault:
+        return 12  # six axes, two signs
+    if 'of_one' in fault:
+        return ARMS[arm].joints
+    return 1
+
+
+def list_cells(arms, faults):
+    """Yield the cells of some arms and faults; a wrench is only tried on uncommanded arms."""
+    for arm, commanded, push_test in product(arms, (False, True), (True, False)):
+        for fault in faults:
+            if commanded and not fault.startswith('joints'):
+                continue
+            for place in range(count_places(arm, fault)):
+                yield Cell(arm, commanded, push_test, fault, place)
+
+
+def judge_row(cell, row, right):
+    """Return the row of a cell, beside the run without a fault."""
+    source = cell.fault.split(':')[0]
+    faster = (row['speed'] - right['speed']).max()
+    safe = faster <= FASTER and row['force'] <= LARGEST_FORCE
+    if source == 'wrench':
+        safe = safe and row['way'] <= FARTHEST
+    named = any(cause.startswith(source) for cause in row['causes'])
+    return {**cell._asdict(), **row, 'speed': faster, 'safe': safe, 'named': named}
+
+
+def join_causes(causes):
+    """Return the causes of several rows as a text."""
+    return ', '.join(sorted(set().union(*causes)))
 
 
 def main(arguments=None):
@@ -113,44 +177,25 @@ def main(arguments=None):
         '--every', type=int, default=1, help='take only every so many cells'
     )
     options = parser.parse_args(arguments)
-    ways = [*product(options.arms, (False, True), (True, False))]
-    cells = [
-        Cell(*way, fault, place)
-        for way, fault in product(ways, options.faults)
-        if fault.startswith('joints') or not way[1]
-        for place in range(
-            12 if 'biased' in fault else ARMS[way[0]][0] if 'of_one' in fault else 1
-        )
-    ]
-    cells, workers = cells[:: options.every], Parallel(-1, return_as='generator')
-    right = dict(zip(ways, workers(delayed(run)(Cell(*way)) for way in ways)))
-    rows = []
-    for cell, row in zip(
-        cells, track(workers(map(delayed(run), cells)), total=len(cells))
-    ):
-        source = cell.fault.split(':')[0]
-        row['speed'] = (row['speed'] - right[cell[:3]]['speed']).max()
-        safe = (
-            row['speed'] <= FASTER
-            and row['force'] <= LARGEST_FORCE
-            and (source != 'wrench' or row['way'] <= FARTHEST)
-        )
-        named = any(cause.startswith(source) for cause in row['causes'])
-        rows.append({**cell._asdict(), **row, 'safe': safe, 'named': named})
+    cells = list(list_cells(options.arms, options.faults))[:: options.every]
+    workers = Parallel(-1, return_as='generator')
+    faultless = list(product(options.arms, (False, True), (True, False)))
+    right_rows = workers(delayed(run)(Cell(*way)) for way in faultless)
+    right = dict(zip(faultless, right_rows))
+    results = track(workers(map(delayed(run), cells)), total=len(cells))
+    rows = [judge_row(cell, row, right[cell[:3]]) for cell, row in zip(cells, results)]
     table = pd.DataFrame(rows)
-    print(
-        table.groupby([*Cell._fields[:4]])
-        .agg(
-            n=('place', 'size'),
-            speed=('speed', 'max'),
-            force=('force', 'max'),
-            way=('way', 'max'),
-            named=('named', 'sum'),
-            safe=('safe', 'all'),
-            causes=('causes', lambda x: ', '.join(sorted(set().union(*x)))),
-        )
-        .to_string()
+    groups = table.groupby(['arm', 'commanded', 'push_test', 'fault'])
+    summary = groups.agg(
+        n=('place', 'size'),
+        speed=('speed', 'max'),
+        force=('force', 'max'),
+        way=('way', 'max'),
+        named=('named', 'sum'),
+        safe=('safe', 'all'),
+        causes=('causes', join_causes),
     )
+    print(summary.to_string())
     return 0 if table.safe.all() else 1
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 from canonical_runs import run_of
 from multicontact_control.commissioning.contact_identification import (
     ContactSignals,
+    find_noise_at_rest,
     identify_contacts,
-    noise_at_rest,
 )
 from multicontact_control.errors import RunError
 from multicontact_control.runs.scenario import resolve
@@ -72,7 +72,7 @@ def test_error_of_the_noise_is_that_of_many_recordings():
     """White noise in 2000 recordings of one contact at rest: the scatter of what is found."""
     random, rest = np.random.default_rng(4), np.zeros(200)
     estimates = [
-        noise_at_rest(
+        find_noise_at_rest(
             ContactSignals(NOISE * random.normal(size=200), rest + 10.0, *[rest] * 5)
         )
         for _ in range(2000)

@@ -7,10 +7,10 @@ from fake_arm import wrench_message
 from foreign_bag import controller_file, JOINTS, RATE, START
 from multicontact_control.commissioning.weighing import (
     CLEARANCE,
-    identify,
+    find_clearing_way,
+    identify_from_rests,
     TILTS,
     visit_poses,
-    way_off,
     weigh_recording,
     write_tool,
 )
@@ -95,7 +95,7 @@ def test_tool_is_lifted_until_no_tilt_leads_into_a_surface(kind, normals):
         )
     controller = SimpleNamespace(contact_names=list(contacts), contacts=contacts)
     tilts = [Rotation.from_rotvec([0.4 * x, 0.4 * y, 0.0]) for x, y in TILTS]
-    way = way_off(controller, Rotation.identity(), tilts)
+    way = find_clearing_way(controller, Rotation.identity(), tilts)
     for contact in controller.contacts.values():
         normal, along = (
             np.array(x) for x in (contact.normal_world, contact.direction_operational)
@@ -129,7 +129,7 @@ def test_poses_without_a_rest_are_tried_again_and_named_if_they_stay_without():
     with pytest.raises(
         CalibrationError, match='at least 4 quiet rests .*, got 3; pose 5: no qui'
     ):
-        identify(found[:3], controller_config(), lacking)
+        identify_from_rests(found[:3], controller_config(), lacking)
 
 
 @pytest.mark.ros
@@ -140,7 +140,7 @@ def test_tool_is_identified_from_rests_whatever_the_clocks(tmp_path, offset, tou
     """Stamps of the sensor beside those of the joints, or an hour off; a touched tool left out."""
     file = controller_file(tmp_path)
     write_bag(tmp_path / 'bag', led_arm(file, offset, touched))
-    result = weigh_recording(tmp_path / 'bag', [file])
+    result = weigh_recording(tmp_path / 'bag', [file], None, print)
     assert result.poses == 5 - len(touched)
     assert result.mass == pytest.approx(TOOL.mass, abs=0.01)
     np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)

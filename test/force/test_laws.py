@@ -7,11 +7,11 @@ import shlex
 
 from multicontact_control.cli.options import SetupOptions
 from multicontact_control.commissioning.law_report import (
-    contact_loop,
+    closed_loop_matrix,
+    describe_design,
     design_for_range,
-    margins_of,
-    show_design,
-    stable_ratios,
+    find_margins,
+    find_stable_ratios,
     write_design,
 )
 from multicontact_control.config import ForceConfig, read_yaml
@@ -241,10 +241,10 @@ def test_law_knows_what_acts_beyond_its_answer(name):
 def test_margins_are_where_the_loop_becomes_unstable(name):
     config = config_of(name)
     law, model = law_of(name), make_loop_model(config, K)
-    margins, (_, stiffest) = margins_of(law, model), stable_ratios(law, model)
+    margins, (_, stiffest) = find_margins(law, model), find_stable_ratios(law, model)
     if np.isfinite(stiffest):
-        assert spectral_radius(contact_loop(law, model, 0.98 * stiffest)) < 1.0
-        assert spectral_radius(contact_loop(law, model, 1.02 * stiffest)) > 1.0
+        assert spectral_radius(closed_loop_matrix(law, model, 0.98 * stiffest)) < 1.0
+        assert spectral_radius(closed_loop_matrix(law, model, 1.02 * stiffest)) > 1.0
         if (
             name != 'impedance'
         ):  # which reads the speed, that does not grow with the stiffness
@@ -254,7 +254,7 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
         if delay > 10 * H:
             continue
         late = make_loop_model(config_of(name, input_delay=delay), K)
-        assert (spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9) == stable
+        assert (spectral_radius(closed_loop_matrix(law, late)) < 1.0 + 1e-9) == stable
 
 
 @pytest.mark.parametrize('name', FORCE_LAWS)
@@ -263,7 +263,7 @@ def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_rea
 ):
     """A law knows no contacts: their stiffness is in a setting beside its file."""
     result = design_for_range(
-        name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0
+        name, stiffness=(2000.0, 8000.0), input_delay=DELAY, noise_variance=2.0
     )
     force = ForceConfig(**result.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
@@ -275,17 +275,17 @@ def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_rea
     )
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
         model = make_loop_model(config, stiffness)
-        assert spectral_radius(contact_loop(law, model)) < 1.0 + 1e-9
+        assert spectral_radius(closed_loop_matrix(law, model)) < 1.0 + 1e-9
     late = make_loop_model(
         config.model_copy(
             update={'force': force.model_copy(update={'input_delay': DELAY + 0.99 * H})}
         ),
         8000.0,
     )
-    assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
+    assert spectral_radius(closed_loop_matrix(law, late)) < 1.0 + 1e-9
     path = tmp_path / 'law.yaml'
     write_design(result, path)
-    for text in (show_design(result), path.read_text()):
+    for text in (describe_design(result), path.read_text()):
         _, setting = shlex.split(re.search(r"--set '[^']+'", text)[0])
         read = SetupOptions(
             scenario='quick', preset=str(path), settings=[setting]

@@ -1,4 +1,4 @@
-from multicontact_control.view.curves import DRAWN, History
+from multicontact_control.view.curves import DRAWN, PointHistory
 from multicontact_control.view.source import POINTS, RATE
 import numpy as np
 import pytest
@@ -11,10 +11,10 @@ def test_history_keeps_a_peak_in_every_window(window):
     points[:, 0] = np.arange(count) / (RATE * POINTS)
     peak = count - 1766
     points[peak, 1], points[2000, 2] = 9.0, np.nan
-    history = History(7)
+    history = PointHistory(7)
     for part in np.array_split(points, 100):
-        history.add(part)
-    drawn = history.last(window)
+        history.add_points(part)
+    drawn = history.last_seconds(window)
     assert len(drawn) <= 1.2 * DRAWN and (np.diff(drawn[:, 0]) > 0.0).all()
     assert drawn[drawn[:, 1].argmax(), 1] == 9.0
     assert abs(drawn[drawn[:, 1].argmax(), 0] - points[peak, 0]) < 0.5

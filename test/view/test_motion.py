@@ -2,7 +2,7 @@
 
 from multicontact_control.config import LimitsConfig
 from multicontact_control.errors import CommandError
-from multicontact_control.view.motion import ACCELERATION, Motion, SPEED
+from multicontact_control.view.motion import ACCELERATION, CommandedMotion, SPEED
 import numpy as np
 import pytest
 
@@ -13,7 +13,7 @@ LIMITS = LimitsConfig(workspace_lower=(-0.6, 0.2, 0.3), workspace_upper=(0.6, 0.
 
 @pytest.fixture
 def motion():
-    made = Motion(LIMITS)
+    made = CommandedMotion(LIMITS)
     made.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
     return made
 
@@ -114,7 +114,7 @@ def test_sine_faster_than_the_limits_is_refused_and_a_slow_arm_is_led_slowly(mot
     with pytest.raises(CommandError, match='speed: expected at most 0.5 m/s'):
         motion.start_sine('x', 0.15, 2.0)
     assert motion.what == ''
-    slow = Motion(
+    slow = CommandedMotion(
         LIMITS.model_copy(
             update={'operational_speed': 0.04, 'operational_acceleration': 0.2}
         )

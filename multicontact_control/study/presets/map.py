@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Matrix
-from multicontact_control.commissioning.law_report import contact_loop
+from multicontact_control.commissioning.law_report import closed_loop_matrix
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.controller import Controller
@@ -235,7 +235,7 @@ class ArmLoop:
 
         def is_stable(ratio: float) -> bool:
             if of_paper:
-                loop = contact_loop(law, model, ratio)
+                loop = closed_loop_matrix(law, model, ratio)
             else:
                 arm = margins.LinearArmPlant(
                     self.mobility,
