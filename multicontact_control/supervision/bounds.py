@@ -129,23 +129,13 @@ def allowed_stop_speed(distance: float) -> float:
 
 
 @compiled
-def bound_acceleration(allowed: float, closing: float, slope: float) -> float:
-    """
-    Return the largest acceleration towards a limit.
-
-    `allowed` and `closing` are the speed that is allowed and the one there is; the first falls by
-    `slope` [1/s] for each unit of the way.
-    """
-    return SPEED_GAIN * (allowed - closing) - slope * closing
-
-
-@compiled
 def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> int:
     """
     Fill in a row for each side on which a joint is near its stop or its speed limit.
 
-    `rows`, shape (count, n), times the accelerations must not exceed `bounds` [rad/s^2]; returns
-    how many were filled in.
+    `rows`, shape (count, n), times the accelerations must not exceed `bounds` [rad/s^2]: a speed v
+    towards a limit, of which v_a is allowed, may rise by k (v_a - v) - s v, where v_a falls by s
+    for each unit of the way. Returns how many rows were filled in.
     """
     count = 0
     for j in range(joints.shape[0]):
@@ -164,7 +154,7 @@ def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> in
                 slope = min(STOP_RATE, JOINT_BRAKING / max(allowed, ROUNDING))
             rows[count] = 0.0
             rows[count, j] = side
-            bounds[count] = bound_acceleration(allowed, closing, slope)
+            bounds[count] = SPEED_GAIN * (allowed - closing) - slope * closing
             count += 1
     return count
 
@@ -207,7 +197,7 @@ def add_reach_bounds(
             gradient[j] *= -0.5 / size
             closing += gradient[j] * joints[j].velocity
         allowed = REACH_RATE * max(size - SINGULAR_ROOT, 0.0)
-        bounds[count] = bound_acceleration(allowed, closing, REACH_RATE)
+        bounds[count] = SPEED_GAIN * (allowed - closing) - REACH_RATE * closing
         count += 1
     return count
 

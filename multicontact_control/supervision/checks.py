@@ -131,21 +131,6 @@ def choose_severest_reaction(causes: tuple[str, ...], config: ControllerConfig) 
 
 
 @compiled
-def _is_answer_finite(contact: Contact) -> bool:
-    """Return whether all numbers of a contact's answer are finite."""
-    answer = contact.answer
-    return np.isfinite(
-        contact.alpha_meas
-        + answer.alpha_des
-        + answer.alpha_est
-        + answer.alpha_rate_est
-        + answer.innovation
-        + answer.prior_variance
-        + answer.variance_used
-    )
-
-
-@compiled
 def check_plausibility(
     bounds: Plausibility,
     control: Control,
@@ -186,7 +171,17 @@ def check_plausibility(
     pressed = 0.0
     for i in range(contacts.shape[0]):
         contact, state = contacts[i], states[i]
-        if not _is_answer_finite(contact):
+        answer = contact.answer
+        sum_of_answer = (
+            contact.alpha_meas
+            + answer.alpha_des
+            + answer.alpha_est
+            + answer.alpha_rate_est
+            + answer.innovation
+            + answer.prior_variance
+            + answer.variance_used
+        )
+        if not np.isfinite(sum_of_answer):
             found |= ANSWER_NOT_FINITE
         if contact.config.leader != i:  # a couple has no normal force
             continue

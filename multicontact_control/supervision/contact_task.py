@@ -676,9 +676,21 @@ def _limit_reference(
             acceleration[k] = 0.0
     gap = vector_between(frame.position, position)
     way = (lead * twist[0], lead * twist[1], lead * twist[2])
-    for i in range(_span_active_normals(columns, limit.axes)):
-        gap = component_across(gap, limit.axes[i])
-        way = component_across(way, limit.axes[i])
+    count = 0
+    for i in range(columns.shape[0]):
+        if not columns[i].answer.active or columns[i].config.leader != i:
+            continue
+        normal = columns[i].normal
+        axis = (normal[0], normal[1], normal[2])
+        for j in range(count):  # made orthogonal to those before (Gram-Schmidt)
+            axis = component_across(axis, limit.axes[j])
+        remaining = vector_length(axis)
+        if remaining > PARALLEL:
+            axis = divide_vector(axis, remaining)
+            limit.axes[count] = axis
+            count += 1
+            gap = component_across(gap, axis)
+            way = component_across(way, axis)
     linear.ahead[:] = gap
     share = _limit_to_reach(linear, way, twist[:3], acceleration[:3])
     if share < 1.0:
@@ -692,24 +704,6 @@ def _limit_reference(
         task.rotation[:] = frame.rotation
         turn_rotation_by_vector(angular.way, task.rotation)
     return limited or share <= 1.0 or turn_share <= 1.0
-
-
-@compiled
-def _span_active_normals(columns: Records[Contact], axes: Matrix) -> int:
-    """Fill in orthogonal axes of active normals (Gram-Schmidt); return how many there are."""
-    count = 0
-    for i in range(columns.shape[0]):
-        if not columns[i].answer.active or columns[i].config.leader != i:
-            continue
-        normal = columns[i].normal
-        axis = (normal[0], normal[1], normal[2])
-        for j in range(count):
-            axis = component_across(axis, axes[j])
-        remaining = vector_length(axis)
-        if remaining > PARALLEL:
-            axes[count] = divide_vector(axis, remaining)
-            count += 1
-    return count
 
 
 @compiled

@@ -340,12 +340,6 @@ def resume_contact(contact: ContactState, alpha: float, place: float) -> None:
     contact.displacement = place
     contact.answered = contact.answered and stays and presses
     contact.resumed = True
-    _await_answer(contact)
-
-
-@compiled
-def _await_answer(contact: ContactState) -> None:
-    """Wait from now on for a force that answers the motion."""
     contact.observed_time = 0.0
     contact.resting_force = 0.0
     contact.shortfall_time = 0.0
@@ -571,7 +565,9 @@ def _advance_search(
     if lost or nothing_felt:
         contact.answered = False
         contact.resumed = False
-        _await_answer(contact)
+        contact.observed_time = 0.0
+        contact.resting_force = 0.0
+        contact.shortfall_time = 0.0
     else:
         _watch_surface_answer(contact, settings, alpha, place, speed)
     if lost:  # a tool that is being braked reads its own inertia
@@ -638,7 +634,13 @@ def _advance_hold(
         share = h / (MEAN_FORCE_TIME + h)
         contact.mean_force += share * (alpha - contact.mean_force)
     else:
-        _watch_rebound(contact, settings, held, speed)
+        # A surface that is stiffer than its model throws a contact back, which returns by itself,
+        # once; one that is thrown back again and again swings, and is better released.
+        begins = held and contact.time_below_threshold == 0.0
+        thrown_back = speed - contact.surface_speed < -REBOUND_SPEED
+        if begins and thrown_back and contact.rebound_lockout <= 0.0:
+            contact.time_below_threshold = min(0.0, settings.loss_time - REBOUND_TIME)
+            contact.rebound_lockout = REBOUNDS_APART
         contact.time_below_threshold += h
     contact.rebound_lockout = max(0.0, contact.rebound_lockout - h)
     # A step of the force is a motion, too: into a surface that yields as its model.
@@ -649,22 +651,6 @@ def _advance_hold(
     elif contact.state == IMPACT and contact.time_below_threshold == 0.0:
         if contact.time_in_state >= IMPACT_TIME:
             contact.state = HOLDING
-
-
-@compiled
-def _watch_rebound(
-    contact: ContactState, settings: ContactSettings, held: bool, speed: float
-) -> None:
-    """
-    Give time to a contact that is thrown back by a surface that is stiffer than its model.
-
-    It returns by itself, once; one that is thrown back again and again swings, and is released.
-    """
-    begins = held and contact.time_below_threshold == 0.0
-    thrown_back = speed - contact.surface_speed < -REBOUND_SPEED
-    if begins and thrown_back and contact.rebound_lockout <= 0.0:
-        contact.time_below_threshold = min(0.0, settings.loss_time - REBOUND_TIME)
-        contact.rebound_lockout = REBOUNDS_APART
 
 
 @compiled

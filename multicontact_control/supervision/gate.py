@@ -154,15 +154,6 @@ def blend_torque(
 
 
 @compiled
-def set_joint_ranges(joints: Records[Joint]) -> None:
-    """Keep joints a margin off their stops; one that starts beyond it may stay there."""
-    for j in range(joints.shape[0]):
-        joint = joints[j]
-        joint.gate.lower = min(joint.config.lower + JOINT_MARGIN, joint.q)
-        joint.gate.upper = max(joint.config.upper - JOINT_MARGIN, joint.q)
-
-
-@compiled
 def pass_gate(
     gate: GateState,
     joints: Records[Joint],
@@ -199,8 +190,11 @@ def pass_gate(
         torque[j] = joints[j].answer.torque
     blend_torque(gate, joints, law, torque)
     if gate.seen and not gate.ranged:
-        set_joint_ranges(joints)
         gate.ranged = True
+        for j in range(n):  # a margin off its stops, unless a joint starts beyond it
+            joint = joints[j]
+            joint.gate.lower = min(joint.config.lower + JOINT_MARGIN, joint.q)
+            joint.gate.upper = max(joint.config.upper - JOINT_MARGIN, joint.q)
     finite = True
     for j in range(n):
         finite = finite and np.isfinite(torque[j])

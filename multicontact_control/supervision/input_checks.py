@@ -522,12 +522,6 @@ def _validate_wrench(stage: InputStage, wrench: Vector) -> None:
 
 
 @compiled
-def _bound_variance(variance: float, settings: InputSettings) -> float:
-    """Bring an R within its bounds [N^2]."""
-    return min(max(variance, settings.smallest_variance), settings.largest_variance)
-
-
-@compiled
 def _validate_variance(stage: InputStage, contacts: Records[Contact]) -> None:
     """Check an R and hand it over within its bounds, if it is valid; let an old one grow."""
     inputs, settings, state = stage.sample, stage.settings, stage.state
@@ -552,7 +546,9 @@ def _validate_variance(stage: InputStage, contacts: Records[Contact]) -> None:
             variance *= VARIANCE_GROWTH
         if problem == FINE:
             variance = inputs.variance[i]
-        contacts[i].noise_variance = _bound_variance(variance, settings)
+        contacts[i].noise_variance = min(
+            max(variance, settings.smallest_variance), settings.largest_variance
+        )
 
 
 @compiled
@@ -660,18 +656,6 @@ def _supply_momentum_observer(
 
 
 @compiled
-def _remember_wrench(state: InputState, velocity: Vector) -> None:
-    """Keep the wrench of a tick, with the velocities of the joints, shape (n,) [rad/s]."""
-    recent = state.recent[state.next_recent]
-    recent.time = state.time
-    for i in range(6):
-        recent.wrench[i] = state.wrenches.newest[i]
-    for j in range(velocity.shape[0]):
-        recent.velocity[j] = velocity[j]
-    state.next_recent = (state.next_recent + 1) % RECENT_WRENCHES
-
-
-@compiled
 def _hand_over_unchecked(
     stage: InputStage,
     q: Vector,
@@ -692,7 +676,9 @@ def _hand_over_unchecked(
         variance = settings.initial_variance
         if inputs.variance_came != ABSENT:
             variance = inputs.variance[i]
-        contacts[i].noise_variance = _bound_variance(variance, settings)
+        contacts[i].noise_variance = min(
+            max(variance, settings.smallest_variance), settings.largest_variance
+        )
 
 
 @compiled
@@ -733,7 +719,11 @@ def check_inputs(
     elapsed = state.joints.valid - valid_before
     _supply_momentum_observer(stage, joints, control.momentum, elapsed)
     if inputs.wrench_came == FINE and inputs.wrench_stamp == inputs.time:
-        _remember_wrench(state, velocity)
+        recent = state.recent[state.next_recent]
+        recent.time = state.time
+        recent.wrench[:] = state.wrenches.newest
+        recent.velocity[: joints.shape[0]] = velocity
+        state.next_recent = (state.next_recent + 1) % RECENT_WRENCHES
     if not stage.settings.guarded:
         _hand_over_unchecked(stage, q, velocity, control.wrench, contacts)
         return True
