@@ -352,7 +352,7 @@ def _ignore_status(_status: ControllerStatus) -> None:
 
 
 def _keep_message(kept: deque[Any], message: Any) -> None:
-    """Keep a message; rclpy asks a callback for its signature, and `deque.append` has none."""
+    """Keep a message; rclpy takes no built-in method, as `deque.append` is, for a callback."""
     kept.append(message)
 
 
