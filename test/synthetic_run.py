@@ -8,7 +8,6 @@ from multicontact_control.runs.recording import empty_run_data, RunData
 from multicontact_control.runs.scenario import Setup
 import numpy as np
 
-
 # Series that are zero in a perfect run.
 RESTING = (
     'q',
