@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 from multicontact_control.judging.contact_metrics import LASTING_PUSH
 from multicontact_control.judging.evidence import collect_evidence, Evidence
+from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.quality import (
     DESIGNED_MOTION_ERROR,
     LONGEST_RISE,
     SHORTEST_RISE,
 )
-from multicontact_control.runs.recording import RunData
-from multicontact_control.runs.scenario import Setup
 
 PAPER_SCENARIO = 'paper'
 MISMATCH = 0.1  # of the modelled stiffness, beyond which it counts as not known exactly
@@ -282,22 +281,19 @@ class Claim(NamedTuple):
 
 
 def judge_claims_of_run(
-    data: RunData,
-    setup: Setup,
-    summary: Mapping[str, Any],
-    *,
-    any_scenario: bool = False,
+    run: RunMetrics, summary: Mapping[str, Any], *, any_scenario: bool = False
 ) -> list[Claim]:
     """
     Judge the paper's claims by a simulated run of its scenario, or of `any_scenario`.
 
     `summary` is the content of the run's ``summary.json``. Of other runs there are no claims.
     """
+    setup = run.setup
     is_scenario = setup.simulated and not setup.commanded_by_topic
     is_meant = any_scenario or setup.scenario.name == PAPER_SCENARIO
     if not (is_scenario and is_meant):
         return []
-    return judge_claims(collect_evidence(data, setup, summary))
+    return judge_claims(collect_evidence(run, summary))
 
 
 def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:

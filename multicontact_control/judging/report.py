@@ -68,7 +68,7 @@ def write_report(
         ) from None
     figures = out / FIGURE_FOLDER
     names = _name_runs(runs)
-    metrics = [RunMetrics(run.data, run.setup) for run in runs]
+    metrics = [run.metrics for run in runs]
     paths = []
     parts = []
     title = describe_run(runs[0].summary)
@@ -116,7 +116,7 @@ def _render_run(
     parts.append(_render_numbers(summary))
     parts.append(render_figures(metrics, prefix))
     parts.append(page.HELP)
-    judged = judge_claims_of_run(run.data, setup, summary, any_scenario=claims)
+    judged = judge_claims_of_run(metrics, summary, any_scenario=claims)
     if judged:
         table = page.render_claims({'measured': judged})
         parts.append(f'<h3>Claims of the paper</h3>{table}')

@@ -15,8 +15,7 @@ from multicontact_control.judging.run_modes import (
     INTERRUPTED,
 )
 from multicontact_control.judging.supervisor_events import list_interventions, LogLine
-from multicontact_control.runs.recording import describe_missing, Missing, RunData
-from multicontact_control.runs.scenario import Setup
+from multicontact_control.runs.recording import describe_missing, Missing
 import numpy as np
 
 STABLE = 'stable'
@@ -66,34 +65,27 @@ def describe_verdict(summary: Mapping[str, Any]) -> str:
 
 
 def judge_run(
-    data: RunData,
-    setup: Setup,
+    run: RunMetrics,
     *,
     mode: str = IN_PROCESS,
     ended_early: str = '',
     events: Sequence[LogLine] = (),
-    missing: Sequence[Missing] = (),
 ) -> Verdict:
     """
     Judge a run.
 
     Parameters
     ----------
-    data
-        The recorded series.
-    setup
-        What the run was made with.
+    run
+        The run with its metrics, and with what its recording lacks.
     mode
         That of ``summary.json``, one of `run_modes`.
     ended_early
         Why the run ended before its time; `INTERRUPTED` speaks neither for nor against it.
     events
         The lines of the supervisor's log with their times [s].
-    missing
-        The stretches that the recording lacks.
 
     """
-    run = RunMetrics(data, setup, missing)
     motion_error = run.summarise_motion()['moving_position_rms_m']
     findings = list_findings(run, mode, ended_early)
     interventions = list_interventions(run, events)

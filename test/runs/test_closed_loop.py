@@ -13,7 +13,12 @@ def test_quick_is_stable_and_holds_its_forces(plant):
     """The paper's experiment in short."""
     setup = resolve('quick', plant=plant)
     result = run_of(setup)
-    assert judge_run(result.data, setup, ended_early=result.ended_early).reasons == ()
+    assert (
+        judge_run(
+            RunMetrics(result.data, setup), ended_early=result.ended_early
+        ).reasons
+        == ()
+    )
     for i in range(2):
         summary = RunMetrics(result.data, setup).contacts[i].summarise()
         assert summary['rest']['true_error_rms_n'] < 1.0

@@ -23,7 +23,9 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
     setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
     data = run_of(setup).data
     window = RunMetrics(data, setup).windows
-    assert judge_run(data, setup, mode='in_process', events=()).name == STABLE
+    assert (
+        judge_run(RunMetrics(data, setup), mode='in_process', events=()).name == STABLE
+    )
     for i, name in enumerate(data.contact_names):
         contact = RunMetrics(data, setup).contacts[i]
         error = contact.error

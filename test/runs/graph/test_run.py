@@ -266,9 +266,7 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
     assert summary['contacts']['table']['rest']['true_error_rms_n'] < 0.1
     run = load_run(out)
     # No scenario was played.
-    assert (
-        summary['claims'] == judge_claims_of_run(run.data, run.setup, run.summary) == []
-    )
+    assert summary['claims'] == judge_claims_of_run(run.metrics, run.summary) == []
     assert run.data.command[-1].tolist() == [10.0, 5.0]
     assert run.setup.scenario.duration == pytest.approx(run.data.ticks / run.data.rate)
 
