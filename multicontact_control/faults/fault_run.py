@@ -117,9 +117,7 @@ class FaultOccurrence:
         return inputs
 
     def _shift_clock(self, inputs: TickInputs, action: ClockShift) -> TickInputs:
-        """
-        Return the inputs with the tick's time shifted, and the stamps if they share the clock.
-        """
+        """Return the inputs with the tick's time shifted, and the stamps that share its clock."""
         begin = self._first.time
         shift = action.shift(inputs.time - begin, begin)
         changes: dict[str, Any] = {'time': inputs.time + shift}

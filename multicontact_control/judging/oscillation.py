@@ -37,7 +37,9 @@ LONGEST_BRIDGE = 0.01  # s of missing samples to interpolate: a tenth of a slow 
 
 
 class Oscillation(NamedTuple):
-    """An episode in which a force oscillates."""
+    """
+    An episode in which a force oscillates: stretches of 2 s, each of which does, without a pause.
+    """
 
     recognised_at: float  # when it had lasted for a stretch, 2 s [s]
     duration: float  # s
@@ -46,7 +48,9 @@ class Oscillation(NamedTuple):
 
 
 class SpectralLine(NamedTuple):
-    """The line of one stretch."""
+    """
+    The strongest line in the spectrum of one stretch of an error, and whether it oscillates by it.
+    """
 
     oscillates: bool
     frequency: float  # Hz
