@@ -112,8 +112,8 @@ def measure_rise(run: Evidence) -> Measurements:
     """
     Yield the rise times of the steps up over the designed one, infinite for `never`.
 
-    The design is that of the force loop (P04 sec. 5.2), with delay. A run that the supervisor held
-    tells no `never`, and then nothing of its rise.
+    The designed one includes the loop's delay. A run that the supervisor held tells no `never`,
+    and then nothing of its rise.
     """
     rises = []
     for name, contact in _list_pressed_contacts(run):
@@ -223,8 +223,8 @@ def measure_error_at_rest(run: Evidence) -> Measurements:
     """
     Yield the mean error at rest over the command, infinite if the run is not stable.
 
-    The mean takes out the noise: what stays is what the active state is to compensate (P04 sec.
-    4.1).
+    The mean takes out the noise: what stays is what the active state is to compensate. A run that
+    was not judged yields nothing.
     """
     for name, contact in _list_pressed_contacts(run):
         rest = contact['rest']

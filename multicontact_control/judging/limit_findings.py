@@ -46,9 +46,9 @@ def list_findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]
     """
     Return the limits that a run has passed, those of couples while their contact is pressed.
 
-    They are the order of the verdict's reasons: numbers that are not finite, saturated torques,
-    then each contact's. `mode` and `ended_early` are as for `judge_run`; an end before its time
-    comes first.
+    They come in the order of the verdict's reasons: an end before its time, numbers that are not
+    finite, saturated torques, then each contact's. `mode` and `ended_early` are as for
+    `judge_run`.
     """
     findings = []
     interrupted = ended_early == INTERRUPTED

@@ -38,7 +38,10 @@ LONGEST_BRIDGE = 0.01  # s of missing samples to interpolate: a tenth of a slow 
 
 class Oscillation(NamedTuple):
     """
-    An episode in which a force oscillates: stretches of 2 s, each of which does, without a pause.
+    An episode in which a force oscillates.
+
+    It is made of stretches of 2 s that follow each other, each of which oscillates by the three
+    conditions above.
     """
 
     recognised_at: float  # when it had lasted for a stretch, 2 s [s]
@@ -49,7 +52,10 @@ class Oscillation(NamedTuple):
 
 class SpectralLine(NamedTuple):
     """
-    The strongest line in the spectrum of one stretch of an error, and whether it oscillates by it.
+    The strongest line in the spectrum of one stretch of an error.
+
+    Frequency and rms tell of an oscillation only if the stretch oscillates by it: every noise has
+    a strongest line.
     """
 
     oscillates: bool

@@ -83,8 +83,8 @@ def count_losses(run: RunSeries, log: Sequence[LogLine]) -> dict[str, int]:
     """
     Return how often the supervisor lost each contact under load, by the contact's name.
 
-    A loss is a change from a state that touches to one that retracts or has given up. It is what
-    the controller believed, whatever the true force was.
+    A loss is a change from impact or holding to a state in which the contact is lost, retracts or
+    is given up. It is what the controller believed, whatever the true force was.
     """
     counts = dict.fromkeys(run.setup.controller.contact_names, 0)
     events = [read_event(*line) for line in log]
