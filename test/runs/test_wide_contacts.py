@@ -22,15 +22,11 @@ FRICTION = 0.1  # of the simulated surfaces
 def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, bound):
     setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
     data = run_of(setup).data
-    window = RunMetrics(data, setup).windows
-    assert (
-        judge_run(RunMetrics(data, setup), mode='in_process', events=()).name == STABLE
-    )
-    for i, name in enumerate(data.contact_names):
-        contact = RunMetrics(data, setup).contacts[i]
-        error = contact.error
-        assert rms_within(window.rest, error) < 0.2, name
-        assert rms_within(window.moving, error) < bound, name
+    metrics = RunMetrics(data, setup)
+    assert judge_run(metrics, mode='in_process', events=()).name == STABLE
+    for contact in metrics.contacts:
+        assert rms_within(metrics.windows.rest, contact.error) < 0.2
+        assert rms_within(metrics.windows.moving, contact.error) < bound
         assert contact.losses == []
     # the couple of 3 N has moved the centre of pressure: a fifth of the half length
     held = (data.time > 6.5) & (data.time < 7.5)
