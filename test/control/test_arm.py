@@ -114,8 +114,11 @@ def test_wrench_of_the_residual_is_its_dynamically_consistent_one():
     arm = make_arm(bandwidth=200.0, is_input=True)
     residual = np.array([1.0, -2.0, 3.0, 0.4, -0.5, 0.6])
     arm.joints['watch']['residual'] = residual
-    put(arm)
-    state = ROBOT.update(HOME, REST)
+    q = HOME + np.linspace(
+        0.1, 0.6, 6
+    )  # at home the sensor's axes are their own inverse
+    put(arm, q)
+    state = ROBOT.update(q, REST)
     J = state.jacobian
     inverse = np.linalg.inv(state.mass_matrix)
     wrench = np.linalg.solve(J @ inverse @ J.T, J @ inverse @ residual)
