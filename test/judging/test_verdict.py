@@ -73,7 +73,7 @@ def test_loss_and_saturation_may_last_a_tenth_of_a_second(
     setup, data, fault, reason, seconds
 ):
     fault(data, 6.0, seconds)
-    verdict = judge_run(data, setup)
+    verdict = judge_run(RunMetrics(data, setup))
     assert (verdict.name == NOT_STABLE) == (seconds > 0.1)
     assert all(reason in line for line in verdict.reasons)
     assert verdict.unstable_at == (pytest.approx(6.1) if seconds > 0.1 else None)
@@ -81,7 +81,7 @@ def test_loss_and_saturation_may_last_a_tenth_of_a_second(
         setup, plant=setup.plant.model_copy(update={'torque_limit': (12.0,) * 6})
     )
     assert any(
-        'simulated drives' in line for line in judge_run(data, weak).reasons
+        'simulated drives' in line for line in judge_run(RunMetrics(data, weak)).reasons
     ) == (fault is saturate and seconds > 0.1)
 
 
@@ -99,7 +99,7 @@ def test_contact_that_is_lost_more_than_five_times_is_not_stable(
 ):
     for k in range(losses):
         lose(data, LOADED + 1.0 + k * every, lasting, contact=0)
-    assert judge_run(data, setup).name == name
+    assert judge_run(RunMetrics(data, setup)).name == name
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_force_beyond_five_times_its_command_and_half_the_ceiling_is_not_stable(
 ):
     data.alpha_true[start, 0] = force
     data.alpha_des[4990:, 0] = 0.0
-    verdict = judge_run(data, setup)
+    verdict = judge_run(RunMetrics(data, setup))
     assert verdict.reasons == reasons
     assert verdict.unstable_at == (start / RATE if reasons else None)
 
@@ -140,22 +140,22 @@ def test_couple_as_large_as_its_force_is_a_lost_end_of_the_edge(
     data = perfect_run(edge)
     data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
     data.alpha_true[4000 : 4000 + int(seconds * RATE), 1] = couple
-    assert judge_run(data, edge).reasons == reasons
+    assert judge_run(RunMetrics(data, edge)).reasons == reasons
 
 
 def test_missing_contacts_answers_and_infinite_numbers_are_not_stable(setup, data):
-    assert judge_run(data, setup).reasons == ()
+    assert judge_run(RunMetrics(data, setup)).reasons == ()
     data.torque[100] = np.nan
-    assert judge_run(data, setup).name == STABLE
+    assert judge_run(RunMetrics(data, setup)).name == STABLE
     data.torque[:900] = np.nan
     for mode in ('in_process', 'lockstep', 'free_running'):
-        assert judge_run(data, setup, mode=mode).reasons == (
+        assert judge_run(RunMetrics(data, setup), mode=mode).reasons == (
             '15.0 % of the samples were not answered',
         )
     data.alpha_meas[7, 0] = np.inf
     data.alpha_des[:, 0] = 0.0
     assert {'a number is not finite', 'table: no contact was made'} <= {
-        *judge_run(data, setup).reasons
+        *judge_run(RunMetrics(data, setup)).reasons
     }
 
 
@@ -164,7 +164,7 @@ def test_run_that_ends_before_its_load_is_not_judged_and_tells_of_no_claim():
     data = perfect_run(setup)
     data.alpha_true[:] = 0.0
     data.alpha_des[:] = 0.0
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     assert (summary['verdict'], summary['unjudged'], summary['instabilities']) == (
         'not judged',
         'never under load',
@@ -172,7 +172,8 @@ def test_run_that_ends_before_its_load_is_not_judged_and_tells_of_no_claim():
     )
     end_by_verdict(summary)
     summary['claims'] = [
-        claim._asdict() for claim in judge_claims_of_run(data, setup, summary)
+        claim._asdict()
+        for claim in judge_claims_of_run(RunMetrics(data, setup), summary)
     ]
     assert {claim['holds'] for claim in summary['claims']} == {None}
     console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
@@ -193,13 +194,13 @@ def test_contact_without_truth_is_judged_by_its_measured_force(
     setup, data, hidden, whose
 ):
     data.alpha_true[hidden(data)] = np.nan
-    verdict = judge_run(data, setup, mode='external')
+    verdict = judge_run(RunMetrics(data, setup), mode='external')
     assert (verdict.name, verdict.unjudged) == (
         'not judged',
         f'no ground truth{whose}; by the measured forces no limit was passed',
     )
     data.alpha_meas[3000:, 1] = 0.0
-    verdict = judge_run(data, setup, mode='external')
+    verdict = judge_run(RunMetrics(data, setup), mode='external')
     assert (
         verdict.reasons == ('board: contact lost for 6.00 s',)
         and verdict.name == NOT_STABLE
@@ -216,7 +217,7 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(
         texts = [(0.0, CALM)]
         for k in range(times):
             texts += [(3.0 + k, caught), (3.002 + k, CALM)]
-        verdict = judge_run(data, setup, events=texts)
+        verdict = judge_run(RunMetrics(data, setup), events=texts)
         assert (verdict.name, len(verdict.reasons)) == (name, int(times > 5))
     cause = caught.split(' | ')[1].strip() or 'contact lost'
     assert f'({cause} 6)' in verdict.reasons[0] and verdict.unstable_at is None
@@ -234,7 +235,7 @@ def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup
             ),
         )
     assert [len(what.split(' | ')) for _, what in report.events] == [4, 4]
-    assert judge_run(data, setup, events=report.events).name == STABLE
+    assert judge_run(RunMetrics(data, setup), events=report.events).name == STABLE
 
 
 def test_bounces_before_load_and_slow_references_are_no_interventions(setup, data):
@@ -248,7 +249,9 @@ def test_bounces_before_load_and_slow_references_are_no_interventions(setup, dat
     ):
         texts = [(start + 0.5 * every * k, cycle[k % 2]) for k in range(40)]
         assert (
-            judge_run(data, setup, events=[(0.0, 'none |  | free, free'), *texts]).name
+            judge_run(
+                RunMetrics(data, setup), events=[(0.0, 'none |  | free, free'), *texts]
+            ).name
             == STABLE
         )
 
@@ -290,7 +293,9 @@ def test_limit_cycle_is_named_with_and_without_supervisor(
     setup = resolve(scenario, preset='paper', **changes)
     result = run_of(setup, supervised=supervised)
     verdict = judge_run(
-        result.data, setup, ended_early=result.ended_early, events=result.events
+        RunMetrics(result.data, setup),
+        ended_early=result.ended_early,
+        events=result.events,
     )
     assert verdict.name == NOT_STABLE and verdict.unstable_at is not None
     assert any(line.startswith(reason) for line in verdict.reasons)
@@ -324,7 +329,8 @@ def test_verdict_is_shown_and_decides_the_exit_code(
     setup, data, ticks, changes, verdict, stable, code
 ):
     summary = summarise_run(
-        data.part(0, ticks), setup, **{'mode': 'in_process', 'timing': {}, **changes}
+        RunMetrics(data.part(0, ticks), setup),
+        **{'mode': 'in_process', 'timing': {}, **changes},
     )
     assert (summary['verdict'], summary['stable']) == (verdict, stable)
     assert f']{verdict}' in list_verdict_lines(summary, 'here')[1]
@@ -350,7 +356,7 @@ def test_force_or_motion_far_off_its_command_makes_a_stable_run_poor(
     """A step from 2 to 10 N at 2.5 s, and a motion that is judged from 8.5 s on."""
     data.alpha_true[1300:1310, 0] = force
     data.position[data.time >= 8.5, 0] += shift
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     assert (summary['verdict'], summary['stable']) == (
         'poor' if reasons else 'stable',
         True,
@@ -390,7 +396,7 @@ def test_figures_show_the_start_of_the_motion_and_what_of_r_is_a_median(setup, d
 def test_stable_run_says_beside_its_verdict_how_good_it_is(setup, data, force, said):
     data.alpha_true[:] = delayed(data, 0.05)
     data.alpha_true[1300:1310, 0] = force
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     verdict, quality = list_verdict_lines(summary, 'here')[1:3]
     assert 'stable' in verdict and quality.startswith(said)
     assert (
@@ -413,10 +419,10 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
     data.alpha_true[begin + round(delay * RATE) : begin + 100, 1] = (
         before + small.size_n
     )
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     rises = next(
         claim
-        for claim in judge_claims_of_run(data, setup, summary)
+        for claim in judge_claims_of_run(RunMetrics(data, setup), summary)
         if 'time constant' in claim.claim
     )
     bad, _, good = summary['quality'].rpartition('; ')
@@ -428,7 +434,9 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
 
 def test_loss_that_the_controller_alone_sees_is_named_as_such(setup, data):
     seen = [(0.0, CALM), (3.0, LOST), (3.1, CALM)]
-    summary = summarise_run(data, setup, mode='in_process', timing={}, events=seen)
+    summary = summarise_run(
+        RunMetrics(data, setup), mode='in_process', timing={}, events=seen
+    )
     rows = {label: cells for label, *cells in list_summary_rows(summary)}
     assert rows['contact lost [times]'] == ['0', '0']
     assert rows['lost to the controller [times]'] == ['0', '1']
@@ -445,9 +453,10 @@ def test_event_is_read_with_what_was_read_of_contacts_before_a_touch():
 def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
     setup = resolve('paper', plant='puma')
     data = paper_run(setup)
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     summary['claims'] = [
-        claim._asdict() for claim in judge_claims_of_run(data, setup, summary)
+        claim._asdict()
+        for claim in judge_claims_of_run(RunMetrics(data, setup), summary)
     ]
     console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
     print_summary(console, summary, 'here')
@@ -460,7 +469,7 @@ def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
 def test_figures_of_a_plane_have_legal_file_names(tmp_path):
     setup = resolve('plane', plant='rigid', duration=10.0)
     data = perfect_run(setup)
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     draw_figures(RunMetrics(data, setup), summary, tmp_path, formats=('png',))
     assert {path.stem for path in tmp_path.iterdir()} == {
         'fig3_force_face',
