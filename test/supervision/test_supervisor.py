@@ -45,13 +45,24 @@ def test_good_samples_count_anew_after_each_bad_one():
         assert loop.status.reaction == 'none'
 
 
+def fail(_):
+    raise ZeroDivisionError('the mass of nothing')
+
+
+def test_exception_that_comes_back_after_each_recovery_is_logged_once(
+    monkeypatch, caplog
+):
+    with make_loop('rigid') as loop:
+        monkeypatch.setattr(loop.control.supervisor.task, 'update_wanted_task', fail)
+        _, statuses = advance(loop, 0.5)
+    causes = [status.causes for status in statuses]
+    assert causes.count(('law_ZeroDivisionError',)) > 1
+    assert len(caplog.records) == 1
+
+
 def test_findings_end_with_the_reaction_that_they_explain(monkeypatch):
     with make_loop('rigid') as loop:
         supervisor = loop.control.supervisor
-
-        def fail(_):
-            raise ZeroDivisionError('the mass of nothing')
-
         with monkeypatch.context() as patch:
             patch.setattr(supervisor.task, 'update_wanted_task', fail)
             advance(loop, 0.01)
