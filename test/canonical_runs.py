@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from joblib import Memory
+from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.closed_loop import LoopResult, run_in_process
 from multicontact_control.runs.scenario import Setup
@@ -34,8 +35,7 @@ def summary_of(setup: Setup, *, supervised: bool = True) -> dict:
     """Return the content of its ``summary.json``."""
     result = run_of(setup, supervised=supervised)
     return summarise_run(
-        result.data,
-        setup,
+        RunMetrics(result.data, setup),
         mode='in_process',
         timing={},
         ended_early=result.ended_early,

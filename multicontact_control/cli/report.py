@@ -66,9 +66,7 @@ def report(
         for line in (describe_verdict(run.summary), quality, *remarks):
             if line:
                 typer.echo(f'{run.folder}: {line}')
-        judged = judge_claims_of_run(
-            run.data, run.setup, run.summary, any_scenario=claims
-        )
+        judged = judge_claims_of_run(run.metrics, run.summary, any_scenario=claims)
         if judged:
             console = Console(highlight=False, soft_wrap=True)
             print_claims(console, [claim._asdict() for claim in judged])

@@ -17,8 +17,6 @@ from multicontact_control.judging.run_series import (
     statistic_within,
 )
 from multicontact_control.judging.verdict import HELD
-from multicontact_control.runs.recording import RunData
-from multicontact_control.runs.scenario import Setup
 import numpy as np
 
 AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
@@ -27,18 +25,14 @@ AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
 Evidence = Mapping[str, Any]
 
 
-def collect_evidence(
-    data: RunData, setup: Setup, summary: Mapping[str, Any]
-) -> dict[str, Any]:
+def collect_evidence(run: RunMetrics, summary: Mapping[str, Any]) -> dict[str, Any]:
     """
     Return what studies tabulate and claims rest on, of a simulated run, as JSON values.
 
     Parameters
     ----------
-    data
-        The recorded series.
-    setup
-        What the run was made with.
+    run
+        The run with its metrics.
     summary
         The content of its ``summary.json``.
 
@@ -51,7 +45,7 @@ def collect_evidence(
         motion, and errors of the motion; and `contacts`, the evidence of each.
 
     """
-    run = RunMetrics(data, setup)
+    setup = run.setup
     force = setup.controller.force
     unstable_at = summary['unstable_at_s']
     unstable_after_motion = None
@@ -77,7 +71,8 @@ def collect_evidence(
         'designed_rise_s': designed_rise(force),
         'stable': stable,
         'unstable_after_motion_s': unstable_after_motion,
-        'ran_in_motion': float(data.time[-1]) > run.motion_start + SETTLE_AFTER_START,
+        'ran_in_motion': float(run.data.time[-1])
+        > run.motion_start + SETTLE_AFTER_START,
         'contacts': contacts,
         'motion': summary['motion'],
     }

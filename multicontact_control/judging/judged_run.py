@@ -32,7 +32,7 @@ from multicontact_control.judging.run_modes import (
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.compilation import ensure_compiled
-from multicontact_control.runs.recording import BagContent, read_bag, RunData
+from multicontact_control.runs.recording import BagContent, read_bag
 from multicontact_control.runs.scenario import flatten_parameters, Setup, SHORTEST
 from rich.console import Console
 from rich.markup import escape
@@ -74,15 +74,15 @@ def simulate_run(
     if not result.data.ticks:
         raise RunError(f'the run ended at once: {result.ended_early}')
     result.data.save(folder)
+    run = RunMetrics(result.data, setup)
     summary = summarise_run(
-        result.data,
-        setup,
+        run,
         mode=IN_PROCESS,
         timing={'kernels_compiled': count_compilations()},
         ended_early=result.ended_early,
         events=result.events if supervised else None,
     )
-    return _leave_results(result.data, setup, folder, summary)
+    return _leave_results(run, folder, summary)
 
 
 def simulation_parameters(setup: Setup) -> dict[str, dict[str, Any]]:
@@ -212,17 +212,16 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     events = None
     if spec.extra_parameters[CONTROLLER]['supervised']:
         events = result.timing[CONTROLLER].get('events', [])
+    run = RunMetrics(data, setup, content.missing)
     summary = summarise_run(
-        data,
-        setup,
+        run,
         mode=mode,
         timing=_collect_timing(result.timing, content),
         ended_early=ended_early,
         events=events,
-        missing=content.missing,
         remarks=content.remarks,
     )
-    return _leave_results(data, setup, spec.out, summary), interrupted
+    return _leave_results(run, spec.out, summary), interrupted
 
 
 def _run_graph_with_progress(spec: GraphSpec, setup: Setup) -> GraphResult:
@@ -274,12 +273,12 @@ def _collect_timing(
 
 
 def _leave_results(
-    data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]
+    run: RunMetrics, folder: Path, summary: dict[str, Any]
 ) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table; return the summary."""
-    claims = judge_claims_of_run(data, setup, summary)
+    claims = judge_claims_of_run(run, summary)
     summary['claims'] = [claim._asdict() for claim in claims]
-    draw_figures(RunMetrics(data, setup), summary, folder / FIGURE_FOLDER)
+    draw_figures(run, summary, folder / FIGURE_FOLDER)
     replace_json_file(folder / SUMMARY_FILE, replace_nonfinite_numbers(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

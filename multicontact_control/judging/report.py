@@ -68,7 +68,7 @@ def write_report(
         ) from None
     figures = out / FIGURE_FOLDER
     names = _name_runs(runs)
-    metrics = [RunMetrics(run.data, run.setup) for run in runs]
+    metrics = [run.metrics for run in runs]
     paths = []
     parts = []
     title = describe_run(runs[0].summary)
@@ -116,7 +116,7 @@ def _render_run(
     parts.append(_render_numbers(summary))
     parts.append(render_figures(metrics, prefix))
     parts.append(page.HELP)
-    judged = judge_claims_of_run(run.data, setup, summary, any_scenario=claims)
+    judged = judge_claims_of_run(metrics, summary, any_scenario=claims)
     if judged:
         table = page.render_claims({'measured': judged})
         parts.append(f'<h3>Claims of the paper</h3>{table}')
@@ -128,7 +128,12 @@ def _render_run(
 
 
 def render_figures(run: RunMetrics, prefix: str) -> str:
-    """Return the figures of a run, whose names on the page begin with a prefix."""
+    """
+    Return the figures of a run, whose names on the page begin with a prefix.
+
+    Names are unique on the page, since its script finds a chart by them. The result is HTML with
+    the data of every trace.
+    """
     shaded = list_shaded_spans(run)
     parts = []
     for figure in describe_figures(run):

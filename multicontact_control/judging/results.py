@@ -23,6 +23,7 @@ from multicontact_control.config.contact import (
     SUFFIXES,
 )
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_folders import (
     BAG_FOLDER,
     CONFIG_FOLDER,
@@ -66,6 +67,11 @@ class LoadedRun(NamedTuple):
     setup: Setup
     data: recording.RunData
     summary: dict[str, Any]
+
+    @property
+    def metrics(self) -> RunMetrics:
+        """The metrics of the run, made anew."""
+        return RunMetrics(self.data, self.setup)
 
 
 def load_setup(folder: Path) -> Setup:
@@ -143,13 +149,11 @@ def _update_summary(
     if summary['supervised']:
         events = [(event['time_s'], event['what']) for event in summary['events']]
     return summarise_run(
-        content.data,
-        setup,
+        RunMetrics(content.data, setup, missing),
         mode=summary['mode'],
         timing=summary['timing'] | {'unanswered_samples': content.unanswered},
         ended_early=summary['ended_early'] or '',
         events=events,
-        missing=missing,
         remarks=content.remarks,
     )
 
@@ -197,11 +201,9 @@ def load(
     if content.lacking:
         remarks.insert(0, f'not in the recording: {", ".join(content.lacking)}')
     summary = summarise_run(
-        content.data,
-        setup,
+        RunMetrics(content.data, setup, content.missing),
         mode=RECORDED,
         timing={'unanswered_samples': content.unanswered},
-        missing=content.missing,
         remarks=remarks,
     )
     summary['supervised'] = None
@@ -275,7 +277,12 @@ def _find_rate(path: Path, messages: BagMessages) -> float:
 
 
 def infer_contact_types(names: Sequence[str]) -> dict[str, ContactType]:
-    """Return the types of contacts by name, from the names of forces and couples."""
+    """
+    Return the types of contacts by name, from the names of forces and couples.
+
+    A recording names its columns only: `blade/along` beside `blade` makes an edge, a couple
+    across, too, a plane. Configured contacts tell their type themselves.
+    """
     along = SUFFIXES[ALONG]
     across = SUFFIXES[ACROSS]
     types: dict[str, ContactType] = {}

@@ -12,21 +12,18 @@ from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_folders import SUMMARY_FILE
 from multicontact_control.judging.supervisor_events import count_losses, LogLine
 from multicontact_control.judging.verdict import judge_run, LOOP_IS_STABLE
-from multicontact_control.runs.recording import describe_missing, Missing, RunData
-from multicontact_control.runs.scenario import Setup
+from multicontact_control.runs.recording import describe_missing, Missing
 
 SCHEMA = 1  # of the summary: the meaning of its keys
 
 
 def summarise_run(
-    data: RunData,
-    setup: Setup,
+    run: RunMetrics,
     *,
     mode: str,
     timing: Mapping[str, Any],
     ended_early: str = '',
     events: Sequence[LogLine] | None = None,
-    missing: Sequence[Missing] = (),
     remarks: Sequence[str] = (),
 ) -> dict[str, Any]:
     """
@@ -34,10 +31,8 @@ def summarise_run(
 
     Parameters
     ----------
-    data
-        The recorded series.
-    setup
-        What the run was made with.
+    run
+        The run with its metrics, and with what its recording lacks.
     mode
         How it was made, one of `run_modes`.
     timing
@@ -46,26 +41,23 @@ def summarise_run(
         Why it ended before its time, as for `judge_run`.
     events
         Times [s] at which the supervisor changed, and to what; None without a supervisor.
-    missing
-        The stretches that the recording lacks.
     remarks
         What else was wrong with the recording.
 
     """
+    data = run.data
+    setup = run.setup
     # What the supervisor did after the run is not part of it.
     end = data.ticks / data.rate
     during = [(time, line) for time, line in events or () if time < end]
-    verdict = judge_run(
-        data, setup, mode=mode, ended_early=ended_early, events=during, missing=missing
-    )
-    run = RunMetrics(data, setup, missing)
+    verdict = judge_run(run, mode=mode, ended_early=ended_early, events=during)
     contacts = {contact.name: contact.summarise() for contact in run.contacts}
     if events is not None:
         for name, losses in count_losses(run, during).items():
             contacts[name]['controller_losses'] = losses
     all_remarks = [*_list_bounded_variances(run), *remarks]
-    if missing:
-        all_remarks.insert(0, describe_missing(missing))
+    if run.missing:
+        all_remarks.insert(0, describe_missing(run.missing))
     return {
         'schema': SCHEMA,
         'scenario': setup.scenario.name,
@@ -91,7 +83,7 @@ def summarise_run(
         'claims': [],
         'without_truth': run.list_without_truth(),
         'missing': replace_nonfinite_numbers(
-            [{'from_s': begin, 'to_s': end} for begin, end in missing]
+            [{'from_s': begin, 'to_s': end} for begin, end in run.missing]
         ),
         'remarks': all_remarks,
         'commanded_by_topic': setup.commanded_by_topic,

@@ -15,8 +15,7 @@ from multicontact_control.judging.run_modes import (
     INTERRUPTED,
 )
 from multicontact_control.judging.supervisor_events import list_interventions, LogLine
-from multicontact_control.runs.recording import describe_missing, Missing, RunData
-from multicontact_control.runs.scenario import Setup
+from multicontact_control.runs.recording import describe_missing, Missing
 import numpy as np
 
 STABLE = 'stable'
@@ -38,7 +37,12 @@ LEAST_KNOWN_SHARE = 0.5
 
 
 class Verdict(NamedTuple):
-    """What a run is called, and why."""
+    """
+    What a run is called, and why.
+
+    `docs/verdicts.md` says what each name means and which limits lead to it. `stable` of the
+    summary is true, false or None by the name.
+    """
 
     name: str  # `STABLE`, `POOR`, `HELD`, `NOT_STABLE`, `SILENT` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
@@ -50,7 +54,12 @@ class Verdict(NamedTuple):
 
 
 def describe_verdict(summary: Mapping[str, Any]) -> str:
-    """Return the verdict of a run and its reasons, as its ``summary.json`` has them."""
+    """
+    Return the verdict of a run and its reasons, as its ``summary.json`` has them.
+
+    Terminal, report and figure titles have the same words. Where true forces are not known, they
+    say that it is by measured ones.
+    """
     text: str = summary['verdict']
     reasons = '; '.join(summary['instabilities'])
     if text == UNJUDGED:
@@ -66,34 +75,27 @@ def describe_verdict(summary: Mapping[str, Any]) -> str:
 
 
 def judge_run(
-    data: RunData,
-    setup: Setup,
+    run: RunMetrics,
     *,
     mode: str = IN_PROCESS,
     ended_early: str = '',
     events: Sequence[LogLine] = (),
-    missing: Sequence[Missing] = (),
 ) -> Verdict:
     """
     Judge a run.
 
     Parameters
     ----------
-    data
-        The recorded series.
-    setup
-        What the run was made with.
+    run
+        The run with its metrics, and with what its recording lacks.
     mode
         That of ``summary.json``, one of `run_modes`.
     ended_early
         Why the run ended before its time; `INTERRUPTED` speaks neither for nor against it.
     events
         The lines of the supervisor's log with their times [s].
-    missing
-        The stretches that the recording lacks.
 
     """
-    run = RunMetrics(data, setup, missing)
     motion_error = run.summarise_motion()['moving_position_rms_m']
     findings = list_findings(run, mode, ended_early)
     interventions = list_interventions(run, events)

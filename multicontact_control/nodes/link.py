@@ -6,7 +6,7 @@ import atexit
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 import os
 import time
 from typing import Any, Self, TypeVar
@@ -351,6 +351,11 @@ def _ignore_status(_status: ControllerStatus) -> None:
     """Take no note of a status."""
 
 
+def _keep_message(kept: deque[Any], message: Any) -> None:
+    """Keep a message; rclpy takes no built-in method, as `deque.append` is, for a callback."""
+    kept.append(message)
+
+
 class ControllerLink(ServiceClientNode):
     """
     One end of a connection to a running controller, without a thread.
@@ -400,7 +405,7 @@ class ControllerLink(ServiceClientNode):
             self._kept[topic] = kept
             # The callback runs while a service is waited for; else messages are taken.
             self._subscriptions[topic] = self.node.create_subscription(
-                topic.message, topic.name, kept.append, profile
+                topic.message, topic.name, partial(_keep_message, kept), profile
             )
         self._publishers = {
             topic: create_publisher(self.node, topic)

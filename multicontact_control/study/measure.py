@@ -61,13 +61,11 @@ def measure_run(
         result = run_in_process(
             setup, supervised=supervised, disturb=_move_surface(setup, surface_gone)
         )
-        data = result.data
-        if data.ticks < SHORTEST:
+        if result.data.ticks < SHORTEST:
             raise RunError(result.ended_early)
-        run = RunMetrics(data, setup)
+        run = RunMetrics(result.data, setup)
         summary = summarise_run(
-            data,
-            setup,
+            run,
             mode='in_process',
             timing={},
             ended_early=result.ended_early,
@@ -75,7 +73,7 @@ def measure_run(
         )
         return {
             'summary': summary,
-            'evidence': collect_evidence(data, setup, summary),
+            'evidence': collect_evidence(run, summary),
             'final_error_share': _final_error_share(run),
             'activity_nm': _torque_activity(run),
             'neighbour_n': _neighbour_error(run, surface_gone),

@@ -5,6 +5,7 @@ from dataclasses import replace
 from multicontact_control.judging import claims
 from multicontact_control.judging.contact_metrics import designed_rise
 from multicontact_control.judging.evidence import collect_evidence
+from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_modes import INTERRUPTED
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import resolve
@@ -17,8 +18,10 @@ FIXED = {'noise_estimator': {'estimator': 'fixed'}}
 
 
 def evidence(data, setup, **changes):
-    summary = summarise_run(data, setup, mode='in_process', timing={}, **changes)
-    return collect_evidence(data, setup, summary)
+    summary = summarise_run(
+        RunMetrics(data, setup), mode='in_process', timing={}, **changes
+    )
+    return collect_evidence(RunMetrics(data, setup), summary)
 
 
 def claim_of(data, setup, words, rows=(), **changes):

@@ -50,7 +50,7 @@ def bag(tmp_path_factory):
 def verdict_shown(run):
     """Go through all that is shown of a run but the drawing of files; return the verdict."""
     print_summary(Console(quiet=True), run.summary, 'here')
-    render_figures(RunMetrics(run.data, run.setup), 'run0')
+    render_figures(run.metrics, 'run0')
     json.dumps(run.summary, allow_nan=False)
     assert run.summary['stable'] is not True
     return describe_verdict(run.summary)
@@ -113,7 +113,7 @@ def test_run_without_truth_is_not_judged_and_its_report_says_so(bag, tmp_path):
     }
     assert all(
         'no ground truth' in panel.label
-        for panel in describe_figures(RunMetrics(run.data, run.setup))[0].panels
+        for panel in describe_figures(run.metrics)[0].panels
     )
 
 
@@ -121,7 +121,7 @@ def test_run_without_truth_is_not_judged_and_its_report_says_so(bag, tmp_path):
 def test_recording_that_lacks_a_topic_is_shown_as_far_as_it_goes(tmp_path, topic):
     run = load(write_bag(tmp_path / 'bag', without=(TRUTH, topic), seconds=2.5))
     assert verdict_shown(run)
-    draw_figures(RunMetrics(run.data, run.setup), run.summary, tmp_path, formats=())
+    draw_figures(run.metrics, run.summary, tmp_path, formats=())
     assert (topic == COMMANDED) or any(
         topic in remark for remark in run.summary['remarks']
     )
@@ -233,7 +233,7 @@ def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
     run = RunMetrics(data, setup)
     assert run.contacts[0].step_responses == []
     assert not run.windows.loaded[part].any()
-    assert judge_run(data, setup, missing=find_gaps(data)).unjudged.startswith(
+    assert judge_run(RunMetrics(data, setup, find_gaps(data))).unjudged.startswith(
         'no samples from '
     )
 
@@ -242,7 +242,7 @@ def test_force_that_is_not_known_for_a_while_is_not_judged(tmp_path):
     run = load(write_bag(tmp_path / 'bag', without=()))
     for series in (run.data.alpha_true, run.data.alpha_meas):
         series[(run.data.time > 2.0) & (run.data.time < 2.3)] = np.nan
-    assert judge_run(run.data, run.setup).unjudged == (
+    assert judge_run(run.metrics).unjudged == (
         'wall: no force from 2.01 to 2.30 s; what is there passed no limit'
     )
 

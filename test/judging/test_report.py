@@ -9,6 +9,7 @@ from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging import report
+from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.page import render_figure, thin_series, write_page
 from multicontact_control.judging.panels import Panel, RunFigure, Trace
 from multicontact_control.judging.results import load_run
@@ -35,7 +36,9 @@ def folder(tmp_path_factory):
     data.save(folder)
     replace_json_file(
         folder / 'summary.json',
-        summarise_run(data, setup, mode='in_process', timing={'kernels_compiled': 0}),
+        summarise_run(
+            RunMetrics(data, setup), mode='in_process', timing={'kernels_compiled': 0}
+        ),
     )
     return folder
 

@@ -4,6 +4,7 @@ from datetime import datetime
 from pathlib import Path
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_folders import open_run_folder, prepare_run_folder
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import resolve
@@ -70,10 +71,12 @@ def test_summary_says_how_often_a_variance_was_at_a_bound():
     setup = resolve('quick')
     data = perfect_run(setup)
     data.noise_variance[:] = 0.6
-    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})
     assert summary['remarks'] == []
     data.noise_variance[: data.ticks // 4, 1] = 1000.0
-    (remark,) = summarise_run(data, setup, mode='in_process', timing={})['remarks']
+    (remark,) = summarise_run(RunMetrics(data, setup), mode='in_process', timing={})[
+        'remarks'
+    ]
     assert remark == (
         'board: R is the largest that it may be, 1000 N^2 (noise_variance.largest), '
         'in 25 % of the samples'

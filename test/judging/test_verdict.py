@@ -58,15 +58,20 @@ def alternate_events(start, every, times, first, second, lasting=None):
 CAUGHT = alternate_events(3.0, 0.2, 10, LOST, CALM)
 
 
+def judge(data, setup, **options):
+    return judge_run(RunMetrics(data, setup), **options)
+
+
 def summarise(data, setup, **changes):
     """Return the summary of a run in process, or in another mode."""
-    return summarise_run(data, setup, **{'mode': 'in_process', 'timing': {}, **changes})
+    options = {'mode': 'in_process', 'timing': {}, **changes}
+    return summarise_run(RunMetrics(data, setup), **options)
 
 
 def print_with_claims(data, setup):
     """Return the summary with the claims of the paper, and what is printed of it."""
     summary = summarise(data, setup)
-    judged = judge_claims_of_run(data, setup, summary)
+    judged = judge_claims_of_run(RunMetrics(data, setup), summary)
     summary['claims'] = [claim._asdict() for claim in judged]
     console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
     print_summary(console, summary, 'here')
@@ -104,7 +109,7 @@ def test_loss_and_saturation_for_a_tenth_of_a_second_are_stable(
     setup, data, fault, reason
 ):
     fault(data, 6.0, 0.08)
-    verdict = judge_run(data, setup)
+    verdict = judge(data, setup)
     assert verdict.name == STABLE
     assert verdict.unstable_at is None
 
@@ -112,7 +117,7 @@ def test_loss_and_saturation_for_a_tenth_of_a_second_are_stable(
 @pytest.mark.parametrize(('fault', 'reason'), FAULTS)
 def test_longer_loss_and_saturation_are_not_stable(setup, data, fault, reason):
     fault(data, 6.0, 0.12)
-    verdict = judge_run(data, setup)
+    verdict = judge(data, setup)
     assert verdict.name == NOT_STABLE
     assert reason in verdict.reasons[0]
     assert verdict.unstable_at == pytest.approx(6.1)
@@ -122,9 +127,9 @@ def test_saturation_beyond_the_simulated_drives_is_said_to_be_so(setup, data):
     weak_drives = setup.plant.model_copy(update={'torque_limit': (12.0,) * 6})
     weak = replace(setup, plant=weak_drives)
     saturate(data, 6.0, 0.12)
-    (reason,) = judge_run(data, weak).reasons
+    (reason,) = judge(data, weak).reasons
     assert 'simulated drives' in reason
-    assert 'simulated drives' not in judge_run(data, setup).reasons[0]
+    assert 'simulated drives' not in judge(data, setup).reasons[0]
 
 
 @pytest.mark.parametrize(
@@ -142,7 +147,7 @@ def test_contact_that_is_lost_more_than_five_times_is_not_stable(
 ):
     for k in range(losses):
         lose(data, LOADED + 1.0 + k * every, lasting, contact=0)
-    assert judge_run(data, setup).name == name
+    assert judge(data, setup).name == name
 
 
 @pytest.mark.parametrize(
@@ -159,7 +164,7 @@ def test_force_beyond_five_times_its_command_and_half_the_ceiling_is_not_stable(
 ):
     data.alpha_true[start, 0] = force
     data.alpha_des[4990:, 0] = 0.0
-    verdict = judge_run(data, setup)
+    verdict = judge(data, setup)
     assert verdict.reasons == reasons
     if reasons:
         assert verdict.unstable_at == start / RATE
@@ -183,26 +188,26 @@ def test_couple_as_large_as_its_force_is_a_lost_end_of_the_edge(
     data = perfect_run(edge)
     data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
     data.alpha_true[window(8.0, seconds), 1] = couple
-    assert judge_run(data, edge).reasons == reasons
+    assert judge(data, edge).reasons == reasons
 
 
 @pytest.mark.parametrize('mode', ['in_process', 'lockstep', 'free_running'])
 def test_run_in_which_many_samples_are_not_answered_is_not_stable(setup, data, mode):
     data.torque[100] = np.nan
-    assert judge_run(data, setup, mode=mode).name == STABLE
+    assert judge(data, setup, mode=mode).name == STABLE
     data.torque[:900] = np.nan
-    reasons = judge_run(data, setup, mode=mode).reasons
+    reasons = judge(data, setup, mode=mode).reasons
     assert reasons == ('15.0 % of the samples were not answered',)
 
 
 def test_infinite_number_is_not_stable(setup, data):
     data.alpha_meas[7, 0] = np.inf
-    assert 'a number is not finite' in judge_run(data, setup).reasons
+    assert 'a number is not finite' in judge(data, setup).reasons
 
 
 def test_contact_that_is_never_made_is_not_stable(setup, data):
     data.alpha_des[:, 0] = 0.0
-    assert 'table: no contact was made' in judge_run(data, setup).reasons
+    assert 'table: no contact was made' in judge(data, setup).reasons
 
 
 def test_run_that_ends_before_its_load_is_not_judged_and_tells_of_no_claim():
@@ -233,13 +238,13 @@ def test_contact_without_truth_is_judged_by_its_measured_force(
     setup, data, ticks, contact, whose
 ):
     data.alpha_true[ticks, contact] = np.nan
-    verdict = judge_run(data, setup, mode='external')
+    verdict = judge(data, setup, mode='external')
     assert verdict.name == 'not judged'
     assert verdict.unjudged == (
         f'no ground truth{whose}; by the measured forces no limit was passed'
     )
     data.alpha_meas[3000:, 1] = 0.0
-    verdict = judge_run(data, setup, mode='external')
+    verdict = judge(data, setup, mode='external')
     assert verdict.name == NOT_STABLE
     assert verdict.reasons == ('board: contact lost for 6.00 s',)
 
@@ -256,9 +261,9 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(
     setup, data, caught, cause
 ):
     five_times = alternate_events(3.0, 1.0, 5, caught, CALM, 0.002)
-    assert judge_run(data, setup, events=five_times).name == STABLE
+    assert judge(data, setup, events=five_times).name == STABLE
     six_times = alternate_events(3.0, 1.0, 6, caught, CALM, 0.002)
-    verdict = judge_run(data, setup, events=six_times)
+    verdict = judge(data, setup, events=six_times)
     assert verdict.name == HELD
     (reason,) = verdict.reasons
     assert f'({cause} 6)' in reason
@@ -276,7 +281,7 @@ def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup
         report.note_status(time, status)
     for _, text in report.events:
         assert text.endswith(' | table reads -1.0 N')
-    assert judge_run(data, setup, events=report.events).name == STABLE
+    assert judge(data, setup, events=report.events).name == STABLE
 
 
 @pytest.mark.parametrize(
@@ -296,7 +301,7 @@ def test_bounces_before_load_and_slow_references_are_no_interventions(
 ):
     _, *events = alternate_events(start, every, 20, first, second)
     events = [(0.0, 'none |  | free, free'), *events]
-    assert judge_run(data, setup, events=events).name == STABLE
+    assert judge(data, setup, events=events).name == STABLE
 
 
 @pytest.mark.parametrize('supervised', [True, False])
@@ -337,7 +342,9 @@ def test_limit_cycle_is_named_with_and_without_supervisor(
     setup = resolve(scenario, preset='paper', **changes)
     result = run_of(setup, supervised=supervised)
     verdict = judge_run(
-        result.data, setup, ended_early=result.ended_early, events=result.events
+        RunMetrics(result.data, setup),
+        ended_early=result.ended_early,
+        events=result.events,
     )
     assert verdict.name == NOT_STABLE
     assert verdict.unstable_at is not None
@@ -474,7 +481,7 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
     summary = summarise(data, setup)
     (rises,) = [
         claim
-        for claim in judge_claims_of_run(data, setup, summary)
+        for claim in judge_claims_of_run(RunMetrics(data, setup), summary)
         if 'time constant' in claim.claim
     ]
     as_designed = delay in (0.04, 0.06)
