@@ -126,10 +126,12 @@ def test_longer_loss_and_saturation_are_not_stable(setup, data, fault, reason):
 def test_saturation_beyond_the_simulated_drives_is_said_to_be_so(setup, data):
     weak_drives = setup.plant.model_copy(update={'torque_limit': (12.0,) * 6})
     weak = replace(setup, plant=weak_drives)
+    lose(data, 3.0, 0.12)
+    saturate(data, 5.0, 0.08)
+    assert 'simulated drives' not in '\n'.join(judge(data, weak).reasons)
     saturate(data, 6.0, 0.12)
-    (reason,) = judge(data, weak).reasons
-    assert 'simulated drives' in reason
-    assert 'simulated drives' not in judge(data, setup).reasons[0]
+    assert 'simulated drives' in '\n'.join(judge(data, weak).reasons)
+    assert 'simulated drives' not in '\n'.join(judge(data, setup).reasons)
 
 
 @pytest.mark.parametrize(
@@ -348,9 +350,8 @@ def test_limit_cycle_is_named_with_and_without_supervisor(
     )
     assert verdict.name == NOT_STABLE
     assert verdict.unstable_at is not None
-    reasons = '\n'.join(verdict.reasons)
-    assert reason in reasons
-    assert ('stepped in' in reasons) == supervised
+    assert any(line.startswith(reason) for line in verdict.reasons)
+    assert ('stepped in' in '\n'.join(verdict.reasons)) == supervised
 
 
 @pytest.mark.parametrize(
@@ -487,7 +488,7 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
     as_designed = delay in (0.04, 0.06)
     assert rises.holds == as_designed
     (said,) = [part for part in summary['quality'].split('; ') if 'rise' in part]
-    assert ('not as designed' not in said) == as_designed
+    assert said.startswith('as designed') == as_designed
     ratios = re.findall(r'[\d.]+(?= x)', rises.measured)
     assert any(ratio in said for ratio in ratios)
 

@@ -54,10 +54,14 @@ def test_motors_and_limits_of_the_puma_are_the_published_ones_at_the_joint(puma)
         motor = PUMA_TABLE['motors'][number]
         gear = abs(motor['gear'])
         positive, negative = motor['coulomb']
-        assert link.armature == pytest.approx(motor['rotor_inertia'] * gear**2)
-        assert link.viscous == pytest.approx(motor['viscous'] * gear**2)
-        assert link.coulomb_positive == pytest.approx(positive * gear)
-        assert link.coulomb_negative == pytest.approx(-negative * gear)
+        at_joint = [
+            motor['rotor_inertia'] * gear**2,
+            motor['viscous'] * gear**2,
+            positive * gear,
+            -negative * gear,
+        ]
+        friction = [link.viscous, link.coulomb_positive, link.coulomb_negative]
+        np.testing.assert_allclose([link.armature, *friction], at_joint, rtol=1e-12)
         assert link.armature == pytest.approx(PUMA_TABLE['armature'][number], abs=6e-4)
         assert link.torque_limit == PUMA_TABLE['torque_limit'][number]
         assert link.speed_limit == PUMA_TABLE['speed_limit'][number]
@@ -303,10 +307,11 @@ def test_new_robot_writes_an_arm_that_a_plant_and_a_controller_share(
 
 
 @pytest.mark.parametrize(
-    ('frame', 'tool'), [('sensor', []), ('link6', []), ('wrist', ['tool'])]
+    ('sensor', 'tip', 'tool'),
+    [('sensor', 'tip', []), ('link6', 'link6', []), ('wrist', 'wrist', ['tool'])],
 )
-def test_new_robot_says_what_is_missing(convert, frame, tool):
-    lines, mine = convert(frame, frame)
+def test_new_robot_says_what_is_missing(convert, sensor, tip, tool):
+    lines, mine = convert(sensor, tip)
     missing = [text.split(': ')[1] for text in lines if text.startswith('missing: ')]
     assert missing == [
         *tool,
@@ -320,10 +325,14 @@ def test_new_robot_says_what_is_missing(convert, frame, tool):
         assert find_robot(str(mine)).arm
 
 
-def test_new_robot_writes_plain_numbers_and_words(tmp_path, convert):
-    convert()
-    for file in tmp_path.glob('*.yaml'):
-        assert not re.search(r"\de-\d|'[a-z_]+':|-0\.0\b", file.read_text())
+@pytest.mark.parametrize(
+    ('sensor', 'tip'), [('sensor', 'tip'), ('link6', 'link6'), ('wrist', 'wrist')]
+)
+def test_new_robot_writes_plain_numbers_and_words(tmp_path, convert, sensor, tip):
+    convert(sensor, tip)
+    for name in ('mine.yaml', 'controller.yaml'):
+        text = (tmp_path / name).read_text()
+        assert not re.search(r"\de-\d|'[a-z_]+':|-0\.0\b", text)
 
 
 @pytest.mark.parametrize(
