@@ -67,18 +67,13 @@ def rotation_error(rotation_des, rotation):
 
 def motion_acceleration(config, reference, pose, twist):
     """Return a_des + k_v (theta_des - theta) + k_p (x_des - x) (P04 sec. 3.1)."""
-    omega, zeta = config.natural_frequency, config.damping_ratio
-    error = np.concatenate(
-        [
-            reference.pose_des.position_world - pose.position_world,
-            rotation_error(reference.pose_des.rotation_world, pose.rotation_world),
-        ]
-    )
-    return (
-        reference.acceleration_des
-        + 2.0 * zeta * omega * (reference.twist_des - twist)
-        + omega**2 * error
-    )
+    k_p = config.natural_frequency**2
+    k_v = 2.0 * config.damping_ratio * config.natural_frequency
+    wanted = reference.pose_des
+    position_error = wanted.position_world - pose.position_world
+    turn_error = rotation_error(wanted.rotation_world, pose.rotation_world)
+    pull = k_p * np.concatenate([position_error, turn_error])
+    return reference.acceleration_des + k_v * (reference.twist_des - twist) + pull
 
 
 def contact_wrench(reading, sensor_pose, position, tool, gravity):
@@ -87,14 +82,10 @@ def contact_wrench(reading, sensor_pose, position, tool, gravity):
     force, moment = np.reshape(reading - np.array(tool.bias_sensor), (2, 3))
     weight = tool.mass * gravity
     force = R @ force + weight
-    return np.concatenate(
-        [
-            force,
-            R @ moment
-            + np.cross(R @ np.array(tool.com_sensor), weight)
-            + np.cross(sensor_pose.position_world - position, force),
-        ]
-    )
+    moment_of_weight = np.cross(R @ np.array(tool.com_sensor), weight)
+    moment_of_force = np.cross(sensor_pose.position_world - position, force)
+    moment = R @ moment + moment_of_weight + moment_of_force
+    return np.concatenate([force, moment])
 
 
 def operational_space(state, singular_mobility=0.0):
@@ -107,12 +98,8 @@ def operational_space(state, singular_mobility=0.0):
     mobility = J @ np.linalg.solve(M, J.T)
     smallest = np.linalg.eigvalsh(mobility)[0]
     if smallest < singular_mobility:
-        mobility += (
-            0.5
-            * singular_mobility
-            * (1.0 - smallest / singular_mobility) ** 2
-            * np.eye(6)
-        )
+        depth = 1.0 - smallest / singular_mobility
+        mobility += 0.5 * singular_mobility * depth**2 * np.eye(6)
     Lambda = np.linalg.inv(mobility)
     J_bar = np.linalg.solve(M, J.T @ Lambda)
     return SimpleNamespace(
@@ -126,20 +113,16 @@ def operational_space(state, singular_mobility=0.0):
 def joint_torque(wrench, state, space, nullspace_damping=0.0, pull=0.0):
     """Return J^T F + (1 - J^T J_bar^T)(C v + g + M (pull - d v)) (P04 sec. 3)."""
     J = state.jacobian
-    free = (
-        state.coriolis
-        + state.gravity
-        + state.mass_matrix @ (pull - nullspace_damping * state.velocity)
-    )
+    acceleration = pull - nullspace_damping * state.velocity
+    free = state.coriolis + state.gravity + state.mass_matrix @ acceleration
     return J.T @ wrench + free - J.T @ (space.J_bar.T @ free)
 
 
 def posture_pull(q, posture, lower, upper, frequency, margin):
     """Return w^2 (q_0 - q), and 16 w^2 (m - x)^2 / m away from a stop nearer than m."""
-    push = [
-        np.maximum(margin - way, 0.0) ** 2 / margin for way in (q - lower, upper - q)
-    ]
-    return frequency**2 * (posture - q + 16.0 * (push[0] - push[1]))
+    push_up = np.maximum(margin - (q - lower), 0.0) ** 2 / margin
+    push_down = np.maximum(margin - (upper - q), 0.0) ** 2 / margin
+    return frequency**2 * (posture - q + 16.0 * (push_up - push_down))
 
 
 def limited_torque(torque, priority, limit, least_share):
@@ -147,13 +130,12 @@ def limited_torque(torque, priority, limit, least_share):
     over = np.abs(torque) > limit
     if not over.any():
         return torque
-    shares = [
-        (np.sign(t) * m - p) / (t - p)
-        for t, p, m in zip(torque[over], priority[over], limit[over])
-        if np.sign(t) * p < m
-    ]
-    share = max(least_share, min([1.0, *shares]))
-    return np.clip(priority + share * (torque - priority), -limit, limit)
+    beyond = torque - priority
+    side = np.sign(torque)
+    has_room = over & (side * priority < limit)
+    shares = (side * limit - priority)[has_room] / beyond[has_room]
+    share = max(least_share, np.min(shares, initial=1.0))
+    return np.clip(priority + share * beyond, -limit, limit)
 
 
 class Observer:
@@ -166,25 +148,26 @@ class Observer:
     def __init__(self, Phi, Gamma, L, *, order, process_noise, initial_covariance):
         n = len(Gamma)
         binomial = {0: [], 1: [1.0], 2: [2.0, -1.0], 3: [3.0, -3.0, 1.0]}[order]
-        Phi_p = np.vstack([binomial, np.eye(order)[:-1]]) if order else np.zeros((0, 0))
+        Phi_p = np.eye(order, k=-1)
+        Phi_p[:1] = binomial
         newest = np.eye(order)[:1]  # the disturbance that acts
-        across = np.outer(Gamma, newest) if order else np.zeros((n, 0))
+        across = Gamma[:, None] @ newest if order else np.zeros((n, 0))
         zero = np.zeros((order, n))
+        closed = Phi - np.outer(Gamma, L)
         self.Phi_n = np.block([[Phi, across], [zero, Phi_p]])
-        self.Phi_c = np.block([[Phi - np.outer(Gamma, L), 0.0 * across], [zero, Phi_p]])
-        self.Gamma, self.feedback = (
-            np.append(Gamma, np.zeros(order)),
-            np.append(L, newest),
-        )
-        self.Q = process_noise * np.diag(
-            [1.0] * (n + min(order, 1)) + [0.0] * (order - 1)
-        )
+        self.Phi_c = np.block([[closed, 0.0 * across], [zero, Phi_p]])
+        self.Gamma = np.append(Gamma, np.zeros(order))
+        self.feedback = np.append(L, newest)
+        driven = np.arange(n + order) < n + min(order, 1)
+        self.Q = process_noise * np.diag(driven.astype(float))
         self.P_0 = initial_covariance * np.eye(n + order)
         self.reset(0.0)
 
     def reset(self, force):
-        self.x_est, self.P = force * np.eye(len(self.Gamma))[0], self.P_0
-        self.r, self.fresh = 0.0, True
+        self.x_est = force * np.eye(len(self.Gamma))[0]
+        self.P = self.P_0
+        self.r = 0.0
+        self.fresh = True
         self.innovation = self.prior_variance = self.variance_used = 0.0
 
     def update(self, force, variance):
@@ -195,7 +178,8 @@ class Observer:
         x_1 = self.Phi_c @ self.x_est + self.Gamma * self.r
         P_1 = self.Phi_n @ self.P @ self.Phi_n.T + self.Q
         K = P_1 @ C.T / (C @ P_1 @ C.T + variance)
-        self.innovation, self.prior_variance = force - x_1[0], P_1[0, 0]
+        self.innovation = force - x_1[0]
+        self.prior_variance = P_1[0, 0]
         self.variance_used = variance
         self.x_est = x_1 + K[:, 0] * self.innovation
         self.P = P_1 - K @ C @ P_1

@@ -22,7 +22,8 @@ class Arm:
         self._data = self._model.createData()
         self._wrist = self._model.getFrameId(tip)
         self._random = np.random.default_rng(0)
-        self._normal, self._stiffness = np.array(normal), stiffness
+        self._normal = np.array(normal)
+        self._stiffness = stiffness
         self.q = np.array(home)
         self.v = np.zeros(7)
         self._wall = self._normal @ self.wrist.translation + distance
@@ -48,9 +49,9 @@ class Arm:
         return np.concatenate([pressing, np.zeros(3)]) + noise
 
     def jacobian(self):
-        return pin.computeFrameJacobian(
-            self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED
-        )[:3]
+        axes = pin.LOCAL_WORLD_ALIGNED
+        where = (self._model, self._data, self.q, self._wrist)
+        return pin.computeFrameJacobian(*where, axes)[:3]
 
     def step(self, torque, period, substeps=8):
         """Advance by a period."""

@@ -28,10 +28,9 @@ DEPTH = QoSProfile(depth=1000)
 
 def wrench_message(stamp, frame_id, wrench):
     """Build a wrench in a frame, force first."""
-    force, torque = (
-        Vector3(**dict(zip('xyz', map(float, part))))
-        for part in (wrench[:3], wrench[3:])
-    )
+    fx, fy, fz, mx, my, mz = map(float, wrench)
+    force = Vector3(x=fx, y=fy, z=fz)
+    torque = Vector3(x=mx, y=my, z=mz)
     return WrenchStamped(
         header=Header(stamp=messages.ns_to_stamp(stamp), frame_id=frame_id),
         wrench=Wrench(force=force, torque=torque),
@@ -43,9 +42,8 @@ class FakeArm:
         self._middleware = middleware
         node = middleware.node
         self.config = controller_config()
-        self.state = RobotModel(self.config.robot, find_config_folder()).update(
-            HOME, np.zeros(6)
-        )
+        robot = RobotModel(self.config.robot, find_config_folder())
+        self.state = robot.update(HOME, np.zeros(6))
         self.weight = predict_weight_reading(
             self.state.sensor_pose.rotation_world,
             self.config.tool,
@@ -57,26 +55,19 @@ class FakeArm:
         self._wrench = node.create_publisher(
             topics.WRENCH.message, 'ft_sensor/wrench', profile
         )
-        self.force_command, self.motion_command, self._variance = (
-            create_publisher(node, x)
-            for x in (
-                topics.FORCE_COMMAND,
-                topics.MOTION_COMMAND,
-                topics.NOISE_VARIANCE,
-            )
-        )
-        self._commands = node.create_subscription(
-            JointState, 'joint_effort_command', ignore_message, DEPTH
-        )
+        self.force_command = create_publisher(node, topics.FORCE_COMMAND)
+        self.motion_command = create_publisher(node, topics.MOTION_COMMAND)
+        self._variance = create_publisher(node, topics.NOISE_VARIANCE)
+        self._commands = self._listen(JointState, 'joint_effort_command')
         self._forces = {
-            kind: node.create_subscription(
-                JointState, f'contact_forces/{kind}', ignore_message, DEPTH
-            )
-            for kind in ('desired', 'measured')
+            'desired': self._listen(JointState, 'contact_forces/desired'),
+            'measured': self._listen(JointState, 'contact_forces/measured'),
         }
-        self._diagnostics = node.create_subscription(
-            DiagnosticArray, 'diagnostics', ignore_message, DEPTH
-        )
+        self._diagnostics = self._listen(DiagnosticArray, 'diagnostics')
+
+    def _listen(self, message, topic):
+        node = self._middleware.node
+        return node.create_subscription(message, topic, ignore_message, DEPTH)
 
     def press(self, **forces):
         """Let the sensor read these contact forces [N], and nothing else but the tool."""
@@ -91,24 +82,18 @@ class FakeArm:
         if 'wrench' in parts:
             self._wrench.publish(wrench_message(stamp, 'ft_face', self.wrench))
         if 'joints' in parts:
-            self._joints.publish(
-                messages.joint_state_message(
-                    stamp,
-                    self.config.robot.joint_names,
-                    position=HOME,
-                    velocity=np.zeros(6),
-                    effort=EFFORT,
-                )
+            names = self.config.robot.joint_names
+            message = messages.joint_state_message(
+                stamp, names, position=HOME, velocity=np.zeros(6), effort=EFFORT
             )
+            self._joints.publish(message)
 
     def send_variance(self):
         """Send an R of the newest sample, as the noise estimator does [N^2]."""
         names = self.config.column_names
-        self._variance.publish(
-            messages.joint_state_message(
-                self.k * PERIOD, names, effort=np.full(len(names), 0.5)
-            )
-        )
+        R = np.full(len(names), 0.5)
+        message = messages.joint_state_message(self.k * PERIOD, names, effort=R)
+        self._variance.publish(message)
 
     def newest_command(self):
         """Return the newest command that has come since, None without any."""
@@ -117,17 +102,15 @@ class FakeArm:
     def answer(self, stamp):
         """Return the newest command, if it answers this sample."""
         command = self.newest_command()
-        answers = (
-            command is not None and messages.stamp_to_ns(command.header.stamp) == stamp
-        )
-        return command if answers else None
+        if command is None or messages.stamp_to_ns(command.header.stamp) != stamp:
+            return None
+        return command
 
     def step(self):
         """Publish a sample and return the torque that answers it."""
         stamp = self.send()
-        return np.array(
-            wait_for(lambda: self.answer(stamp), f'answer to sample {self.k}').effort
-        )
+        command = wait_for(lambda: self.answer(stamp), f'answer to sample {self.k}')
+        return np.array(command.effort)
 
     def settle(self, count=60):
         """Return the torque that answers the last of so many samples."""
@@ -165,21 +148,17 @@ class FakeArm:
             (send or self.send)()
             self._middleware.pause(0.01)
             report = self._middleware.take(self._diagnostics)
-            if report is None or not report.status[0].name.startswith(
-                'controller_node'
-            ):
+            if report is None:
                 return False
-            seen.append(
-                {
-                    x.name.split(': ')[1]: (
-                        x.level[0],
-                        x.message,
-                        {value.key: value.value for value in x.values},
-                    )
-                    for x in report.status
-                }
-            )
-            return condition(seen[-1])
+            parts = {}
+            for status in report.status:
+                node, _, part = status.name.partition(': ')
+                if node != 'controller_node':
+                    return False
+                values = {value.key: value.value for value in status.values}
+                parts[part] = status.level[0], status.message, values
+            seen.append(parts)
+            return condition(parts)
 
         wait_for(satisfied, 'such diagnostics', lambda: seen[-1:])
         return seen[-1]

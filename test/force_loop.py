@@ -24,11 +24,8 @@ def design_force_loop(
     period=H,
     time_constant=0.02,
 ):
-    return place_poles(
-        make_delayed_plant(stiffness, damping_rate, input_delay, period),
-        period,
-        time_constant=time_constant,
-    )
+    plant = make_delayed_plant(stiffness, damping_rate, input_delay, period)
+    return place_poles(plant, period, time_constant=time_constant)
 
 
 class ActiveObserver:
@@ -36,22 +33,18 @@ class ActiveObserver:
 
     def __init__(self, loop, **options):
         self.design = aob.design_observer(loop, **options)
-        self.records, self.contact = (
-            aob.make_observers([self.design]),
-            np.zeros(1, CONTACT),
-        )
+        self.records = aob.make_observers([self.design])
+        self.contact = np.zeros(1, CONTACT)
         self.space = np.zeros(1, aob.OBSERVER_SPACE)
         n = len(self.design.Gamma)
-        self.x_est, self.P = self.records['x_est'][0, :n], self.records['P'][0, :n, :n]
+        self.x_est = self.records['x_est'][0, :n]
+        self.P = self.records['P'][0, :n, :n]
 
     def update(self, force, noise_variance, measured=True):
-        self.contact['alpha_meas'], self.contact['noise_variance'] = (
-            force,
-            noise_variance,
-        )
-        aob.observe_force(
-            self.records[0], self.contact[0], measured, 0.0, self.space[0]
-        )
+        contact = self.contact[0]
+        contact['alpha_meas'] = force
+        contact['noise_variance'] = noise_variance
+        aob.observe_force(self.records[0], contact, measured, 0.0, self.space[0])
 
     def command(self, force_des):
         return aob.command_acceleration(self.records[0], force_des)
@@ -59,11 +52,9 @@ class ActiveObserver:
     @property
     def innovation(self):
         """Return what a noise estimator gets, arrays of one contact."""
+        answer = self.contact['answer']
         return Innovation(
-            *(
-                self.contact['answer'][name]
-                for name in ('innovation', 'prior_variance', 'variance_used')
-            )
+            answer['innovation'], answer['prior_variance'], answer['variance_used']
         )
 
 
@@ -78,18 +69,17 @@ def run_force_loop(estimator, noise=0.0, leak=0.0, command=10.0):
     Starts at rest at the commanded force. `noise` adds to the measurement, `leak` to the true and
     the measured force, as that of another contact does.
     """
-    observer, plant, x = (
-        observer_of(),
-        make_delayed_plant(6000.0, 20.0, 0.006, H),
-        np.zeros(5),
-    )
+    observer = observer_of()
+    plant = make_delayed_plant(6000.0, 20.0, 0.006, H)
+    x = np.zeros(5)
     x[0] = command
-    variances = [0.6]
-    for each in np.asarray(noise) + leak:
-        observer.update(x[0] + each, variances[-1])
+    R = 0.6
+    variances = []
+    for error in np.asarray(noise) + leak:
+        observer.update(x[0] + error, R)
         u = observer.command(command)
-        variances.append(
-            estimator.update(observer.contact['alpha_meas'], observer.innovation)[0]
-        )
+        alpha_meas = observer.contact['alpha_meas']
+        R = estimator.update(alpha_meas, observer.innovation)[0]
+        variances.append(R)
         x = plant.Phi @ x + plant.Gamma * u
-    return np.array(variances[1:])
+    return np.array(variances)

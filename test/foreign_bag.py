@@ -10,143 +10,136 @@ import yaml
 
 RATE = 125.0
 JOINTS = tuple(f'j{i}' for i in range(7))
-COMMAND, PRELOAD, AT, MADE, REFUSED_AT = 10.0, 2.0, 1.0, 1.5, 2.0  # N, N, s, s, s
+COMMAND = 10.0  # N
+PRELOAD = 2.0  # N
+AT = 1.0  # s, of the command
+MADE = 1.5  # s, of the contact
+REFUSED_AT = 2.0  # s, of a command beyond the limits
 START = 1_700_000_000_000_000_000  # ns
-NAMED = (
-    'joint_states',
-    'joint_effort_command',
-    *(
-        f'contact_forces/{name}'
-        for name in ('measured', 'estimated', 'desired', 'noise_variance')
-    ),
-)
-TRUTH, SENT, COMMANDED, MEASURED = (
-    'ground_truth/contact_forces',
-    'contact_forces/command',
-    'controller_node/status',
-    'contact_forces/measured',
-)
-TYPES = (
-    dict.fromkeys((*NAMED, TRUTH), 'sensor_msgs/msg/JointState')
-    | {
-        SENT: 'sensor_msgs/msg/JointState',
-        COMMANDED: 'diagnostic_msgs/msg/DiagnosticStatus',
-        'ft_sensor/wrench': 'geometry_msgs/msg/WrenchStamped',
-    }
-    | dict.fromkeys(
-        ('operational_point/pose', 'operational_point/pose_desired'),
-        'geometry_msgs/msg/PoseStamped',
-    )
-)
+TRUTH = 'ground_truth/contact_forces'
+SENT = 'contact_forces/command'
+COMMANDED = 'controller_node/status'
+MEASURED = 'contact_forces/measured'
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+POSE = 'geometry_msgs/msg/PoseStamped'
+TYPES = {
+    'joint_states': JOINT_STATE,
+    'joint_effort_command': JOINT_STATE,
+    MEASURED: JOINT_STATE,
+    'contact_forces/estimated': JOINT_STATE,
+    'contact_forces/desired': JOINT_STATE,
+    'contact_forces/noise_variance': JOINT_STATE,
+    TRUTH: JOINT_STATE,
+    SENT: JOINT_STATE,
+    COMMANDED: 'diagnostic_msgs/msg/DiagnosticStatus',
+    'ft_sensor/wrench': 'geometry_msgs/msg/WrenchStamped',
+    'operational_point/pose': POSE,
+    'operational_point/pose_desired': POSE,
+}
 TOPICS = tuple(topic for topic in TYPES if topic not in (TRUTH, SENT))
 
 
 def header(ns):
-    return SimpleNamespace(
-        frame_id='world', stamp=SimpleNamespace(sec=ns // 10**9, nanosec=ns % 10**9)
-    )
+    stamp = SimpleNamespace(sec=ns // 10**9, nanosec=ns % 10**9)
+    return SimpleNamespace(frame_id='world', stamp=stamp)
 
 
 def joint_state(ns, name, position=(), velocity=(), effort=()):
     return SimpleNamespace(
         header=header(ns),
         name=list(name),
-        **{
-            field: list(map(float, values))
-            for field, values in (
-                ('position', position),
-                ('velocity', velocity),
-                ('effort', effort),
-            )
-        },
+        position=list(map(float, position)),
+        velocity=list(map(float, velocity)),
+        effort=list(map(float, effort)),
     )
 
 
-def xyz(values):
+def xyz(*values):
     return SimpleNamespace(**dict(zip('xyzw', map(float, values))))
 
 
-def wrench(ns, values):
+def wrench(ns, normal_force):
+    pressed = SimpleNamespace(force=xyz(normal_force, 0, 0), torque=xyz(0, 0, 0))
+    return SimpleNamespace(header=header(ns), wrench=pressed)
+
+
+def pose(ns):
+    place = SimpleNamespace(position=xyz(0.5, 0, 0.3), orientation=xyz(0, 0, 0, 1))
+    return SimpleNamespace(header=header(ns), pose=place)
+
+
+def status(ns, event):
+    values = [
+        SimpleNamespace(key='event', value=event),
+        SimpleNamespace(key='forces', value=f'wall {COMMAND}'),
+    ]
     return SimpleNamespace(
-        header=header(ns),
-        wrench=SimpleNamespace(force=xyz(values[:3]), torque=xyz(values[3:])),
+        header=header(ns), level=0, name='', message='', hardware_id='', values=values
     )
 
 
+def forces_at(time):
+    """Return the wanted and the true force at a time [s], which is that of the preload first."""
+    if time < MADE - 0.1:
+        return 0.0, 0.0
+    if time < MADE:
+        return PRELOAD, PRELOAD
+    missing = (COMMAND - PRELOAD) * np.exp(-(time - MADE) / 0.05)
+    return COMMAND, COMMAND - missing
+
+
+def messages_at(time, noise):
+    """Yield topic and message of a contact that is made and pressed with 10 N."""
+    ns = START + round(time * 1e9)
+    wanted, force = forces_at(time)
+    measured = force + noise
+    for asked_at, asked, event in (
+        (AT, COMMAND, 'accepted'),
+        (REFUSED_AT, 5000.0, 'refused'),
+    ):
+        if time == asked_at:
+            yield SENT, joint_state(0, ['wall'], effort=[asked])
+            yield COMMANDED, status(ns, event)
+    yield 'joint_states', joint_state(ns, JOINTS, np.full(7, 0.3), np.zeros(7))
+    yield 'ft_sensor/wrench', wrench(ns, measured)
+    yield 'joint_effort_command', joint_state(ns, JOINTS, effort=np.full(7, 3.0))
+    for topic, value in (
+        (MEASURED, measured),
+        ('contact_forces/desired', wanted),
+        (TRUTH, force),
+        ('contact_forces/noise_variance', 0.5),
+    ):
+        yield topic, joint_state(ns, ['wall'], effort=[value])
+    estimated = joint_state(ns, ['wall'], velocity=[0.0], effort=[force])
+    yield 'contact_forces/estimated', estimated
+    yield 'operational_point/pose', pose(ns)
+    yield 'operational_point/pose_desired', pose(ns)
+
+
 def rows(seconds):
-    """Yield topic, time [s] and message of a contact that is made and pressed with 10 N."""
+    """Yield topic, time [s] and message of so many seconds."""
     random = np.random.default_rng(0)
     for k in range(round(seconds * RATE)):
-        t = k / RATE
-        ns = START + round(t * 1e9)
-        wanted = 0.0 if t < MADE - 0.1 else PRELOAD if t < MADE else COMMAND
-        way = np.exp(-max(t - MADE, 0.0) / 0.05)  # that is left, from the preload
-        force = COMMAND - (COMMAND - PRELOAD) * way if t >= MADE else wanted
-        seen = force + 0.05 * random.normal()
-        pose = SimpleNamespace(
-            header=header(ns),
-            pose=SimpleNamespace(
-                position=xyz((0.5, 0.0, 0.3)), orientation=xyz((0.0, 0.0, 0.0, 1.0))
-            ),
-        )
-        if t in (AT, REFUSED_AT):
-            yield (
-                SENT,
-                t,
-                joint_state(0, ['wall'], effort=[COMMAND if t == AT else 5000.0]),
-            )
-            yield (
-                COMMANDED,
-                t,
-                SimpleNamespace(
-                    header=header(ns),
-                    level=0,
-                    name='',
-                    message='',
-                    hardware_id='',
-                    values=[
-                        SimpleNamespace(
-                            key='event', value='accepted' if t == AT else 'refused'
-                        ),
-                        SimpleNamespace(key='forces', value=f'wall {COMMAND}'),
-                    ],
-                ),
-            )
-        yield 'joint_states', t, joint_state(ns, JOINTS, np.full(7, 0.3), np.zeros(7))
-        yield 'ft_sensor/wrench', t, wrench(ns, [seen, 0, 0, 0, 0, 0])
-        yield 'joint_effort_command', t, joint_state(ns, JOINTS, effort=np.full(7, 3.0))
-        for name, value in (
-            (MEASURED, seen),
-            ('contact_forces/desired', wanted),
-            (TRUTH, force),
-            ('contact_forces/noise_variance', 0.5),
-        ):
-            yield name, t, joint_state(ns, ['wall'], effort=[value])
-        yield (
-            'contact_forces/estimated',
-            t,
-            joint_state(ns, ['wall'], velocity=[0.0], effort=[force]),
-        )
-        yield 'operational_point/pose', t, pose
-        yield 'operational_point/pose_desired', t, pose
+        for topic, message in messages_at(k / RATE, 0.05 * random.normal()):
+            yield topic, k / RATE, message
 
 
 def write_bag(folder, *, without=(TRUTH,), seconds=4.0, change=lambda x: x):
     """Write a recording to the only MCAP file of a new folder, and return it."""
     folder.mkdir(parents=True)
-    store, schemas, path = get_typestore(Stores.ROS2_JAZZY), {}, folder / 'bag_0.mcap'
+    path = folder / 'bag_0.mcap'
+    store = get_typestore(Stores.ROS2_JAZZY)
+    schemas = {}
     with path.open('wb') as stream:
         writer = Writer(stream, chunk_size=4096)
+        for kind in TYPES.values():
+            definition, _ = store.generate_msgdef(kind, ros_version=2)
+            schemas[kind] = writer.register_msgdef(kind, definition)
         for topic, time, message in rows(seconds):
-            kind, ns = TYPES[topic], START + round(time * 1e9)
-            if kind not in schemas:
-                schemas[kind] = writer.register_msgdef(
-                    kind, store.generate_msgdef(kind, ros_version=2)[0]
-                )
             if topic not in without:
-                writer.write_message(
-                    f'/{topic}', schemas[kind], change(message), ns, ns
-                )
+                ns = START + round(time * 1e9)
+                schema = schemas[TYPES[topic]]
+                writer.write_message(f'/{topic}', schema, change(message), ns, ns)
         writer.finish()
     return path
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 import json
 from pathlib import Path
+import re
 import subprocess
 import sys
 import tempfile
@@ -20,20 +21,27 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 FILE = ROOT / 'test' / 'data' / 'pins.json'
 EVERY = 500  # ticks, between two torques that are kept
+# Scenario, preset, plant, and whether the loop is supervised.
 SETUPS = {
-    f'{scenario}, preset {preset}, {plant}, {"supervised" if supervised else "bare"}': (
-        scenario,
-        preset,
-        plant,
-        supervised,
-    )
-    for scenario, preset in (('quick', 'paper'), ('disturbance', 'best'))
-    for plant in ('rigid', 'puma')
-    for supervised in (False, True)
+    'quick, preset paper, rigid, bare': ('quick', 'paper', 'rigid', False),
+    'quick, preset paper, rigid, supervised': ('quick', 'paper', 'rigid', True),
+    'quick, preset paper, puma, bare': ('quick', 'paper', 'puma', False),
+    'quick, preset paper, puma, supervised': ('quick', 'paper', 'puma', True),
+    'disturbance, preset best, rigid, bare': ('disturbance', 'best', 'rigid', False),
+    'disturbance, preset best, rigid, supervised': (
+        'disturbance',
+        'best',
+        'rigid',
+        True,
+    ),
+    'disturbance, preset best, puma, bare': ('disturbance', 'best', 'puma', False),
+    'disturbance, preset best, puma, supervised': ('disturbance', 'best', 'puma', True),
 }
-SUMMARIES = [
-    name for name in SETUPS if 'puma, supervised' in name or 'paper, rigid, b' in name
-]
+SUMMARIES = (
+    'quick, preset paper, rigid, bare',
+    'quick, preset paper, puma, supervised',
+    'disturbance, preset best, puma, supervised',
+)
 STUDIES = {
     'compare': 'compare --quick --plants rigid',
     'laws': 'laws --quick --plants rigid',
@@ -55,51 +63,47 @@ def trajectory(name: str) -> dict:
     """Return the hash of a run, and its torques every 500 ticks over their limits."""
     setup, supervised = _resolved(name)
     data = run_of(setup, supervised=supervised).data
+    shares = data.torque[::EVERY] / setup.controller.torque_limit
     return {
         'sha256': summary_of(setup, supervised=supervised)['trajectory_sha256'],
-        'torque_share': (data.torque[::EVERY] / setup.controller.torque_limit).tolist(),
+        'torque_share': shares.tolist(),
     }
 
 
 def summary(name: str) -> dict:
     """Return all numbers of a run's ``summary.json`` but those of timing."""
     setup, supervised = _resolved(name)
-    return dict(
-        _numbers(json.loads(json.dumps(summary_of(setup, supervised=supervised))))
-    )
+    text = json.dumps(summary_of(setup, supervised=supervised))
+    return dict(_numbers(json.loads(text)))
 
 
 def study(name: str) -> dict:
     """Return the table of a small study: for each measure the count and the mean of its cells."""
+    values = defaultdict(list)
+    command = [sys.executable, '-m', 'multicontact_control.cli', 'study']
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
-            [
-                sys.executable,
-                '-m',
-                'multicontact_control.cli',
-                'study',
-                *STUDIES[name].split(),
-                '--out',
-                folder,
-            ],
+            [*command, *STUDIES[name].split(), '--out', folder],
             cwd=ROOT,
             check=True,
             stdout=subprocess.DEVNULL,
         )
-        values = defaultdict(list)
         for path in Path(folder, 'cells').glob('*.json'):
             for key, value in _numbers(json.loads(path.read_text())['metrics']):
-                values[''.join(c for c in key if not c.isdigit())].append(value)
-    return {
-        key: [len(some), float(np.mean(some))] for key, some in sorted(values.items())
-    }
+                measure = re.sub(r'\d', '', key)
+                values[measure].append(value)
+    table = {}
+    for measure, numbers in sorted(values.items()):
+        table[measure] = [len(numbers), float(np.mean(numbers))]
+    return table
 
 
 def _numbers(content, path=''):
     """Yield the path and the value of every number and truth value."""
-    if isinstance(content, dict | list):
-        items = content.items() if isinstance(content, dict) else enumerate(content)
-        for key, value in items:
+    if isinstance(content, list):
+        content = dict(enumerate(content))
+    if isinstance(content, dict):
+        for key, value in content.items():
             if key not in VOLATILE:
                 yield from _numbers(value, f'{path}.{key}')
     elif isinstance(content, bool | int | float):
@@ -108,38 +112,27 @@ def _numbers(content, path=''):
 
 def differences(pinned: dict, now: dict) -> list[str]:
     """Return a line for every number that is not the pinned one."""
-    return [
-        f'{key}: pinned {pinned.get(key)}, now {now.get(key)}'
-        for key in sorted({*pinned, *now})
-        if key not in pinned
-        or key not in now
-        or not np.allclose(pinned[key], now[key], rtol=1e-6, atol=1e-12)
-    ]
+    lines = []
+    for key in sorted({*pinned, *now}):
+        old = pinned.get(key, np.nan)
+        new = now.get(key, np.nan)
+        if not np.allclose(old, new, rtol=1e-6, atol=1e-12):
+            lines.append(f'{key}: pinned {old}, now {new}')
+    return lines
 
 
 def main() -> None:
     """Pin everything anew; the reason is the argument."""
     if len(sys.argv) != 2 or sys.argv[1].startswith('-'):
         sys.exit(__doc__)
-    reason = sys.argv[1]
     reasons = json.loads(FILE.read_text())['reasons']
-    FILE.write_text(
-        json.dumps(
-            {
-                'reasons': [*reasons, reason],
-                **{
-                    kind: {name: compute(name) for name in names}
-                    for kind, names, compute in (
-                        ('trajectories', SETUPS, trajectory),
-                        ('summaries', SUMMARIES, summary),
-                        ('studies', STUDIES, study),
-                    )
-                },
-            },
-            indent=1,
-        )
-        + '\n'
-    )
+    pinned = {
+        'reasons': [*reasons, sys.argv[1]],
+        'trajectories': {name: trajectory(name) for name in SETUPS},
+        'summaries': {name: summary(name) for name in SUMMARIES},
+        'studies': {name: study(name) for name in STUDIES},
+    }
+    FILE.write_text(json.dumps(pinned, indent=1) + '\n')
 
 
 if __name__ == '__main__':

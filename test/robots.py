@@ -24,19 +24,14 @@ def has_urdf(name):
 
 def robot_parameters(names):
     """Return robots as parameters of a test; all but the PUMA and the Panda are nightly."""
-    return [
-        pytest.param(
-            name,
-            marks=[
-                pytest.mark.skipif(
-                    not has_urdf(name),
-                    reason=f'no URDF of {name}: extra [robots] or [franka]',
-                ),
-                *([] if name in ('puma', 'panda') else [pytest.mark.nightly]),
-            ],
-        )
-        for name in names
-    ]
+    parameters = []
+    for name in names:
+        reason = f'no URDF of {name}: extra [robots] or [franka]'
+        marks = [pytest.mark.skipif(not has_urdf(name), reason=reason)]
+        if name not in ('puma', 'panda'):
+            marks.append(pytest.mark.nightly)
+        parameters.append(pytest.param(name, marks=marks))
+    return parameters
 
 
 ROBOTS = robot_parameters(robot_names())
@@ -46,9 +41,6 @@ OTHERS = robot_parameters([name for name in robot_names() if name != 'puma'])
 def carried(arm):
     """Return the inertia that hangs on the sensor, in its frame."""
     com = arm.tool.com.transform
-    tool = pin.Inertia(
-        arm.tool.mass,
-        com.translation,
-        com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T,
-    )
+    inertia = com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T
+    tool = pin.Inertia(arm.tool.mass, com.translation, inertia)
     return tool + pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))

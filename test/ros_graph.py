@@ -32,17 +32,14 @@ PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
 
 def start_python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
     """Start Python in a process of its own; what it writes goes to pipes."""
-    return subprocess.Popen(
-        [sys.executable, *map(str, arguments)],
-        **{
-            'cwd': ROOT,
-            'env': {**os.environ, 'PYTHONPATH': str(ROOT)},
-            'stdout': subprocess.PIPE,
-            'stderr': subprocess.PIPE,
-            'text': True,
-            **options,
-        },
-    )
+    chosen = {
+        'cwd': ROOT,
+        'env': {**os.environ, 'PYTHONPATH': str(ROOT)},
+        'stdout': subprocess.PIPE,
+        'stderr': subprocess.PIPE,
+        **options,
+    }
+    return subprocess.Popen([sys.executable, *map(str, arguments)], text=True, **chosen)
 
 
 def start_command(*arguments: object, **options: Any) -> subprocess.Popen[str]:
@@ -55,24 +52,24 @@ def node_processes(folder: Path) -> dict[str, int]:
     listed = subprocess.run(
         ['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True
     ).stdout
-    return {
-        command: int(pid)
-        for pid, command, *rest in map(str.split, listed.splitlines())
-        if rest == [str(folder)] and command in START_ORDER
-    }
+    processes = {}
+    for line in listed.splitlines():
+        pid, command, *arguments = line.split()
+        if arguments == [str(folder)] and command in START_ORDER:
+            processes[command] = int(pid)
+    return processes
 
 
 def recorded(bag: Path, topic: str) -> list[Any]:
     """Return the messages of one topic of a bag."""
     store = get_typestore(Stores.ROS2_JAZZY)
+    name = f'/{topic.lstrip("/")}'
     with Reader(bag) as reader:
-        connections = [
-            x for x in reader.connections if x.topic == f'/{topic.lstrip("/")}'
-        ]
-        return [
-            store.deserialize_cdr(data, connection.msgtype)
-            for connection, _, data in reader.messages(connections)
-        ]
+        connections = [each for each in reader.connections if each.topic == name]
+        messages = []
+        for connection, _, data in reader.messages(connections):
+            messages.append(store.deserialize_cdr(data, connection.msgtype))
+    return messages
 
 
 def write_bag(folder: Path, rows: Iterable[tuple[Topic, int, Any]]) -> None:
@@ -87,28 +84,28 @@ def write_bag(folder: Path, rows: Iterable[tuple[Topic, int, Any]]) -> None:
             bag.write(connections[topic.name], time_ns, serialize_message(message))
 
 
+def keep_waiting(what: str) -> None:
+    """Wait for the start of a graph without a word."""
+
+
 @contextmanager
 def obedient_graph(folder: Path) -> Iterator[int]:
     """Run the rigid plant's graph in `arm`, as fast as it goes; yield its domain."""
-    with (
-        reserve_domain() as domain_id,
-        running_graph(
-            GraphSpec(
-                out=folder,
-                ticks=0,
-                rate=500.0,
-                speed=0.0,
-                domain_id=domain_id,
-                namespace='arm',
-                parameter_files=resolve('quick', plant='rigid').write(
-                    folder / 'config'
-                ),
-            )
-        ) as graph,
-    ):
-        wait_for(graph.progress.newest, 'samples')
-        yield domain_id
-        graph.processes.check_running()
+    setup = resolve('quick', plant='rigid')
+    with reserve_domain() as domain_id:
+        spec = GraphSpec(
+            out=folder,
+            ticks=0,
+            rate=500.0,
+            speed=0.0,
+            domain_id=domain_id,
+            namespace='arm',
+            parameter_files=setup.write(folder / 'config'),
+        )
+        with running_graph(spec, keep_waiting) as graph:
+            wait_for(graph.progress.read_newest, 'samples')
+            yield domain_id
+            graph.processes.check_running()
 
 
 def wait_for(
@@ -123,13 +120,15 @@ def wait_for(
     says what was `seen` instead, or else the condition's last value.
     """
     give_up = time.monotonic() + PATIENCE
-    while not (value := condition()):
+    value = condition()
+    while not value:
         if time.monotonic() > give_up:
+            last = value if seen is None else seen()
             raise AssertionError(
-                f'{what}: did not happen within {PATIENCE:g} s; '
-                f'last seen: {value if seen is None else seen()!r}'
+                f'{what}: did not happen within {PATIENCE:g} s; last seen: {last!r}'
             )
         time.sleep(0.005)
+        value = condition()
     return value
 
 

@@ -8,6 +8,19 @@ from multicontact_control.runs.recording import empty_run_data, RunData
 from multicontact_control.runs.scenario import Setup
 import numpy as np
 
+# Series that are zero in a perfect run.
+RESTING = (
+    'q',
+    'qd',
+    'effort',
+    'torque',
+    'wrench',
+    'wrench_filtered',
+    'alpha_rate_est',
+    'position',
+    'position_des',
+)
+
 
 def perfect_run(setup: Setup) -> RunData:
     """Return a run of the scenario in which every force is its command, at once."""
@@ -17,27 +30,12 @@ def perfect_run(setup: Setup) -> RunData:
     for step in reference.force_steps:
         for name, force in step.forces.items():
             desired[data.time >= step.time, data.contact_names.index(name)] = force
-    series = {
-        name: np.zeros_like(getattr(data, name))
-        for name in (
-            'q',
-            'qd',
-            'effort',
-            'torque',
-            'wrench',
-            'wrench_filtered',
-            'alpha_rate_est',
-            'position',
-            'position_des',
-        )
-    }
     turn = np.tile([0.0, 0.0, 0.0, 1.0], (data.ticks, 1))
-    variance = np.where(
-        data.time[:, None] >= reference.motion.start_time, 100.0, 0.6
-    ) + (0.0 * desired)
+    variance = np.full_like(desired, 0.6)
+    variance[data.time >= reference.motion.start_time] = 100.0
     return replace(
         data,
-        **series,
+        **{name: np.zeros_like(getattr(data, name)) for name in RESTING},
         alpha_true=desired.copy(),
         alpha_meas=desired.copy(),
         alpha_est=desired.copy(),
@@ -54,7 +52,7 @@ def paper_run(setup: Setup) -> RunData:
     rng = np.random.default_rng(0)
     error = 0.01 * rng.standard_normal(data.alpha_true.shape)
     moving = data.time >= setup.scenario.reference.motion.start_time
-    error[moving] = 0.5 * rng.standard_normal((int(moving.sum()), error.shape[1]))
+    error[moving] = 0.5 * rng.standard_normal(error[moving].shape)
     true = delayed(data, 0.05) + error
     return replace(data, alpha_true=true, alpha_meas=true)
 
@@ -62,6 +60,6 @@ def paper_run(setup: Setup) -> RunData:
 def delayed(data: RunData, delay: float) -> np.ndarray:
     """Return the commanded forces, later."""
     shift = round(delay * data.rate)
-    return np.concatenate(
-        [np.repeat(data.alpha_des[:1], shift, axis=0), data.alpha_des[:-shift]]
-    )
+    later = np.roll(data.alpha_des, shift, axis=0)
+    later[:shift] = data.alpha_des[0]
+    return later

@@ -14,14 +14,22 @@ import yaml
 
 TORQUE_CONSTANT = 0.1  # N m/A, over the gear
 
+
+def reaction(vector):
+    """Return what the surface does to the arm that does this to it."""
+    x, y, z = -vector
+    return Vector3(x=x, y=y, z=z)
+
+
 home = yaml.safe_load(Path(sys.argv[1]).read_text())['home']
 settings = yaml.safe_load(Path(sys.argv[2]).read_text())['/**']['ros__parameters']
-robot, point = settings['robot'], settings['contacts']['table']['point_operational']
-arm = Arm(
-    robot['urdf'], robot['armature'], [0.0, 0.0, -1.0], 0.007, 6000.0, home, 'tip'
-)
+robot = settings['robot']
+point = settings['contacts']['table']['point_operational']
+down = [0.0, 0.0, -1.0]
+arm = Arm(robot['urdf'], robot['armature'], down, 0.007, 6000.0, home, 'tip')
 rclpy.init()
-node, commands = rclpy.create_node('ur_driver'), []
+node = rclpy.create_node('ur_driver')
+commands = []
 joints = node.create_publisher(JointState, 'joint_states', 10)
 wrench = node.create_publisher(
     WrenchStamped, '/force_torque_sensor_broadcaster/wrench', 10
@@ -29,29 +37,29 @@ wrench = node.create_publisher(
 node.create_subscription(
     Float64MultiArray, '/forward_effort_controller/commands', commands.append, 10
 )
-sample, reading, tick = JointState(name=robot['joint_names']), WrenchStamped(), 1
-torque, command = arm.weight, np.zeros(len(arm.q))
+sample = JointState(name=robot['joint_names'])
+reading = WrenchStamped()
 reading.header.frame_id = 'tool0_controller'
+torque = arm.weight
+command = np.zeros(len(arm.q))
+tick = 1
 while True:
-    sample.header.stamp = reading.header.stamp = Time(
-        nanoseconds=tick * 2_000_000
-    ).to_msg()
-    sample.position, sample.velocity = arm.q.tolist(), arm.v.tolist()
+    stamp = Time(nanoseconds=tick * 2_000_000).to_msg()
+    sample.header.stamp = stamp
+    reading.header.stamp = stamp
+    sample.position = arm.q.tolist()
+    sample.velocity = arm.v.tolist()
     sample.effort = (torque / TORQUE_CONSTANT).tolist()  # a current
     force, noise = arm.wrench_sensor().reshape(2, 3)
-    reading.wrench.force, reading.wrench.torque = (  # of the surface on the arm
-        Vector3(x=-x, y=-y, z=-z) for x, y, z in (force, noise + np.cross(point, force))
-    )
+    moment = noise + np.cross(point, force)
+    reading.wrench.force = reaction(force)
+    reading.wrench.torque = reaction(moment)
     commands.clear()
     joints.publish(sample)
     wrench.publish(reading)
     rclpy.spin_once(node, timeout_sec=0.5)
     if commands:  # without, it stands in position control
-        torque, command, tick = (
-            command + arm.weight,
-            np.array(commands[-1].data),
-            tick + 1,
-        )
-        arm.step(
-            torque, 0.002
-        )  # by the command before: it acts a period after its sample
+        torque = command + arm.weight  # a command acts a period after its sample
+        command = np.array(commands[-1].data)
+        tick += 1
+        arm.step(torque, 0.002)

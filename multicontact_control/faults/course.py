@@ -18,7 +18,8 @@ class Course(NamedTuple):
     """
     A motion from a pose, there and back: along a direction and about an axis.
 
-    Both are unit vectors in world axes, or 0.
+    Both are unit vectors in world axes, or 0. Ramps of 0.3 s let the acceleration begin at 0 and
+    stay below 5/s times the speed.
     """
 
     start: Pose
@@ -30,21 +31,40 @@ class Course(NamedTuple):
 
     @property
     def leg_time(self) -> float:
-        """How long it takes in one direction, and to rest there [s]."""
+        """
+        How long it takes in one direction, and to rest there [s].
+
+        The ramps at both ends add a single ramp time: on each the way is half of what full speed
+        makes. The rest of 1 s lets the arm come to its setpoint.
+        """
         return self.distance / self.speed + RAMP_TIME + REST_TIME
 
     @property
     def duration(self) -> float:
-        """How long it takes in all [s]."""
+        """
+        How long it takes in all [s]: the legs with the rest after each; 0 without a motion.
+
+        After that the setpoint stays, at the start after an even number of legs.
+        """
         return self.legs * self.leg_time
 
     @property
     def period(self) -> float:
-        """Return the period of a sinusoid of this amplitude and largest speed [s]."""
+        """
+        The period of a sinusoid of this amplitude and largest speed [s].
+
+        For an amplitude A and angular frequency omega the largest speed is A omega.
+        `situation.motion` `sine` takes the course's distance as amplitude.
+        """
         return 2.0 * np.pi * self.distance / self.speed
 
     def way_at(self, time: float) -> Vector:
-        """Return way [m or rad], rate and its rate at a time since its beginning [s], (3,)."""
+        """
+        Return way [m or rad], rate and its rate at a time since its beginning [s], (3,).
+
+        Before the beginning all three are 0; after the end the way stays at the start or the far
+        end. On a leg back the way falls from the far end with the same profile.
+        """
         if time <= 0.0:
             return np.zeros(3)
         far_end = np.array([self.distance, 0.0, 0.0])
@@ -56,7 +76,12 @@ class Course(NamedTuple):
         return far_end - way if returns else way
 
     def setpoints(self, ways: Matrix) -> list[MotionReading]:
-        """Return the setpoints of some ways [m or rad] with their rates, shape (k, 3)."""
+        """
+        Return the setpoints of some ways [m or rad] with their rates, shape (k, 3).
+
+        A setpoint is the pose of the operational point, world axes, with twist and acceleration,
+        linear first. The turn is about the world axis, through the point itself.
+        """
         turns = Rotation.from_rotvec(ways[:, :1] * self.axis)
         quaternions = (turns * Rotation.from_quat(self.start.quaternion_xyzw)).as_quat()
         twist = np.concatenate([self.direction, self.axis])  # of a unit rate

@@ -33,7 +33,9 @@ def resolve_with_obstacles(scenario: str, plant: str, seed: int) -> Setup:
     """
     Resolve a scenario with walls far away that the first contact's tip, or the elbow, meets.
 
-    They are the plant's last surfaces: `SIDE_WALL` and `ELBOW_WALL` are their numbers.
+    They are the plant's last surfaces: `SIDE_WALL` and `ELBOW_WALL` are their numbers. A fault
+    brings one before the arm (`put_before_tip`); the controller knows of neither, as it knows
+    nothing of a person beside the arm.
     """
     setup = resolve(scenario, plant=plant, seed=seed)
     tip = setup.plant.surfaces[setup.plant.contact_names[0]].tip_link
@@ -62,11 +64,18 @@ def _distant_wall(link: str, normal: Vector, stiffness: float) -> dict[str, Any]
 
 
 def _fail(*_arguments: Any, **_named: Any) -> Any:
+    """Raise, whatever the part is called with."""
     raise ArithmeticError('broken part')
 
 
 class FaultOccurrence:
-    """A fault in a closed loop from its next tick on, for `duration_ticks` ticks."""
+    """
+    A fault in a closed loop from its next tick on, for `duration_ticks` ticks.
+
+    On construction it draws its details, so the same seed repeats it, and changes the plant or
+    breaks the part of the supervisor at once. The caller gives it the inputs of every tick
+    (`corrupt_inputs`) and says when the tick is over (`end_tick`).
+    """
 
     def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
         self._fault = fault
@@ -90,7 +99,12 @@ class FaultOccurrence:
         return reduce(getattr, way, self._loop.control.supervisor), name
 
     def corrupt_inputs(self, inputs: TickInputs) -> TickInputs:
-        """Return what becomes of the inputs of a tick on their way from the sensors."""
+        """
+        Return what becomes of the inputs of a tick on their way from the sensors.
+
+        The inputs themselves stay as they are; they join the history from which late readings are
+        taken. After the fault's last tick, and in faults of the plant, they pass unchanged.
+        """
         if self._tick >= self.duration_ticks:
             return inputs
         self._history.append(inputs)
@@ -103,6 +117,7 @@ class FaultOccurrence:
         return inputs
 
     def _shift_clock(self, inputs: TickInputs, action: ClockShift) -> TickInputs:
+        """Return the inputs with the tick's time shifted, and the stamps that share its clock."""
         begin = self._first.time
         shift = action.shift(inputs.time - begin, begin)
         changes: dict[str, Any] = {'time': inputs.time + shift}
@@ -114,6 +129,7 @@ class FaultOccurrence:
         return inputs._replace(**changes)
 
     def _deliver(self, inputs: TickInputs, action: Delivery) -> TickInputs:
+        """Return the inputs with an older reading, or none, in the stream of the fault."""
         stream = self._fault.input
         age = action.age_of_reading(self._random, self._tick)
         delivered: Any = None
@@ -122,6 +138,7 @@ class FaultOccurrence:
         return inputs._replace(**{stream: delivered})
 
     def _edit_reading(self, inputs: TickInputs, action: ReadingEdit) -> TickInputs:
+        """Return the inputs with other values in the stream's reading, under its own stamp."""
         stream = self._fault.input
         before = self._first
         if action.age:
@@ -132,7 +149,12 @@ class FaultOccurrence:
         return inputs._replace(**{stream: reading._replace(**values)})
 
     def end_tick(self) -> None:
-        """Take note that a tick is over; undo the fault if it was its last one."""
+        """
+        Take note that a tick is over; undo the fault if it was its last one.
+
+        The plant is changed back as `PlantEdit.end` says, and a broken part works again. In all
+        later ticks nothing happens.
+        """
         self._tick += 1
         if self._tick != self.duration_ticks:
             return
@@ -146,9 +168,15 @@ class FaultOccurrence:
 def advance_with_faults(
     occurrences: Sequence[FaultOccurrence], loop: ClosedLoop
 ) -> None:
-    """Take a tick of a loop in which all of these happen, one after the other."""
+    """
+    Take a tick of a loop in which all of these happen, one after the other.
+
+    The second fault works on what the first has made of the inputs. Those that have ended pass
+    inputs on, so the caller may go on with the same list.
+    """
 
     def corrupt(inputs: TickInputs) -> TickInputs:
+        """Return the inputs after every fault has had its turn."""
         for occurrence in occurrences:
             inputs = occurrence.corrupt_inputs(inputs)
         return inputs

@@ -45,7 +45,12 @@ END_TIME = 0.5  # s, the end of a run that tells what it has come to
 
 @dataclass(frozen=True)
 class FaultRow:
-    """What became of one fault; the fields are columns of the table of `study faults`."""
+    """
+    What became of one fault; the fields are columns of the table of `study faults`.
+
+    A row without `problems` is safe. With `shortfalls` alone the arm is safe and does its work
+    less well; the table shows it as not `back`.
+    """
 
     kind: str
     input: str  # noqa: A003
@@ -71,7 +76,12 @@ class FaultRow:
 
 
 class Observation(NamedTuple):
-    """What was seen of a fault or a situation; times are from its beginning [s]."""
+    """
+    What was seen of a fault or a situation; times are from its beginning [s].
+
+    Forces and speeds are the simulated plant's own, and not what the controller measures. The
+    defaults stand for what cannot be seen, as over a graph.
+    """
 
     torque: Matrix  # commands, shape (ticks, n) [N m]
     time: Vector  # of the largest true forces `force`

@@ -43,7 +43,8 @@ class SituationConfig(Config):
     """
     What an arm is asked to do, where, and with which sensor and tool.
 
-    In a study's file the names of these parameters begin with ``situation.``.
+    In a study's file the names of these parameters begin with ``situation.``. By default the first
+    contact is pressed with 10 N, and nothing moves.
     """
 
     contacts: int = parameter(
@@ -115,7 +116,12 @@ class SituationConfig(Config):
 
 @cache
 def foreign_robot() -> str:
-    """Return the file of a robot that `multicontact new-robot` has written for a foreign arm."""
+    """
+    Return the file of a robot that `multicontact new-robot` has written for a foreign arm.
+
+    The arm is ``config/studies/foreign_arm.urdf``, which no file of `config/robots` describes. Its
+    file lies in the cache of compiled code, under a hash of the URDF.
+    """
     urdf = find_config_folder() / 'studies' / FOREIGN_URDF
     stamp = hashlib.sha256(urdf.read_bytes()).hexdigest()[:16]
     base_folder = find_cache_folder() or Path(tempfile.gettempdir())
@@ -137,14 +143,24 @@ def foreign_robot() -> str:
 
 
 class RobotMeans(NamedTuple):
-    """What a robot has for situations: plants, contacts and joints."""
+    """
+    What a robot has for situations: plants, contacts and joints.
+
+    Found without a simulation, so that all combinations of a study can be sifted before the first
+    is run.
+    """
 
     plants: Collection[str]  # names and aliases
     contacts: int
     joints: int
 
     def allow(self, plant: str, situation: SituationConfig) -> bool:
-        """Return whether there are such a plant, so many contacts, and such a joint."""
+        """
+        Return whether there are such a plant, so many contacts, and such a joint.
+
+        A study of situations skips the combinations that a robot has not the means for, instead of
+        failing on them.
+        """
         return (
             plant in self.plants
             and situation.contacts <= self.contacts
@@ -156,6 +172,9 @@ class RobotMeans(NamedTuple):
 def find_means(name: str) -> RobotMeans:
     """
     Return what a robot has for situations.
+
+    An empty name stands for the default robot. The answer is kept, since a study asks for it with
+    each of its combinations.
 
     Raises
     ------
@@ -177,6 +196,10 @@ def resolve_situation(
 ) -> tuple[Setup, Course]:
     """
     Return a setup in a situation, and the motion in it.
+
+    The files are resolved twice: once to know the arm's home, limits and contacts, from which the
+    course follows, and once with what the situation changes. Bias, payload and the distance of the
+    surfaces are not in the setup; `SituationRun` applies them.
 
     Parameters
     ----------

@@ -35,7 +35,13 @@ APPEARING_TIME = 0.5  # s, when a bias comes: in the middle of the approach
 
 
 class SituationRun:
-    """A situation in a closed loop, tick by tick, and what is seen of it."""
+    """
+    A situation in a closed loop, tick by tick, and what is seen of it.
+
+    `seen` has a list for each quantity, with an entry for every tick. Without a force the surfaces
+    are 10 m away. The course is commanded as a client would, over forces and setpoints; a sinusoid
+    is the scenario's own.
+    """
 
     def __init__(
         self, setup: Setup, course: Course, situation: SituationConfig
@@ -86,7 +92,12 @@ class SituationRun:
         return inputs._replace(wrench=wrench)
 
     def advance(self) -> None:
-        """Take one tick, and note what was there at its beginning, and how it was answered."""
+        """
+        Take one tick, and note what was there at its beginning, and how it was answered.
+
+        Commands that the supervisor refuses, before it has begun or while it holds the arm, are
+        given again in the next tick; the sensor's bias is laid over the readings on their way.
+        """
         loop = self.loop
         seen = self.seen
         time = loop.tick * self._period
@@ -147,7 +158,12 @@ class SituationRun:
         self.loop.control.reconfigure(config.model_copy(update={'tool': loaded}))
 
     def trace_motion(self) -> MotionTrace:
-        """Return where the arm was and should have been."""
+        """
+        Return where the arm was and should have been, for `judge_situation`.
+
+        Positions come from the true joints by the controller's own model, once more for every tick
+        after the run; the tips are those of the plant.
+        """
         seen = self.seen
         contacts = self.loop.setup.controller.contacts
         q = np.array(seen['q'])

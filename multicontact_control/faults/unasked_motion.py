@@ -33,7 +33,12 @@ class MotionTrace(NamedTuple):
     states: Sequence[tuple[str, ...]]  # of the contacts
 
     def tip_steps(self, contact: int, normal: Vector) -> Vector:
-        """Return how far a tip goes along a normal beside its setpoint in each tick [m]."""
+        """
+        Return how far a tip goes along a normal beside its setpoint in each tick [m].
+
+        Shape (ticks - 1,), positive along `normal`, a unit vector in world axes. What the setpoint
+        itself does is not counted.
+        """
         beside = self.tip[:, contact] - self.tip_setpoint[:, contact]
         steps: Vector = np.diff(beside, axis=0) @ normal
         return steps

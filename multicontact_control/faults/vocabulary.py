@@ -48,7 +48,12 @@ PARTS = (
 
 @dataclass(frozen=True)
 class Delivery:
-    """Readings that come late, in another order, or never: another one than the newest."""
+    """
+    Readings that come late, in another order, or never: another one than the newest.
+
+    The stamps stay those of the delivered reading, so that a watchdog which compares ages sees the
+    delay, as it would with a slow driver.
+    """
 
     # How many ticks old the reading of each tick is, in turn; None for no reading.
     ages: tuple[int | None, ...] = (0,)
@@ -56,7 +61,12 @@ class Delivery:
     loss: float = 0.0  # share of readings that never come
 
     def age_of_reading(self, random: Random, tick: int) -> int | None:
-        """Return how many ticks old the reading of a tick of the fault is, None for no reading."""
+        """
+        Return how many ticks old the reading of a tick of the fault is, None for no reading.
+
+        Ticks count from 0 at the fault's beginning. Losses are drawn anew from `random` in each
+        tick; all other deliveries repeat without chance.
+        """
         if self.stuck:
             return tick + 1
         if self.loss and random.random() < self.loss:
@@ -66,7 +76,12 @@ class Delivery:
 
 @dataclass(frozen=True)
 class ReadingEdit:
-    """Other values in some fields of a reading (``q qd wrench variance``); stamps go on."""
+    """
+    Other values in some fields of a reading (``q qd wrench variance``); stamps go on.
+
+    Nothing about time is wrong then: only the plausibility checks of the values, or the law
+    itself, can answer it.
+    """
 
     fields: tuple[str, ...]
     change: ValueChange | None  # None keeps the values of the first reading
@@ -85,7 +100,10 @@ class ReadingEdit:
         choice: Vector,
     ) -> dict[str, Any]:
         """
-        Return what the fields become.
+        Return what the fields become; the arrays of `now` stay as they are.
+
+        With `single`, one number of each field takes its new value and the others stay, as of one
+        broken encoder.
 
         Parameters
         ----------
@@ -112,7 +130,12 @@ class ReadingEdit:
 
 @dataclass(frozen=True)
 class ClockShift:
-    """A clock that goes wrong, with the stamps of the readings or without."""
+    """
+    A clock that goes wrong, with the stamps of the readings or without.
+
+    With the stamps the whole computer's clock is wrong, and all ages look right; without them
+    readings seem to come from the future or the past.
+    """
 
     # By how much, from the time since the fault began and the time when it did [s].
     shift: ClockError
@@ -121,14 +144,23 @@ class ClockShift:
 
 @dataclass(frozen=True)
 class Breakdown:
-    """A part of the supervisor, by the names that lead to it, that raises whenever called."""
+    """
+    A part of the supervisor, by the names that lead to it, that raises whenever called.
+
+    It stands for our own mistakes: whatever raises within a tick must become a declared reaction.
+    `PARTS` are what is broken.
+    """
 
     part: str
 
 
 @dataclass(frozen=True)
 class PlantEdit:
-    """What is done to the plant at the beginning and at the end of a fault, if anything."""
+    """
+    What is done to the plant at the beginning and at the end of a fault, if anything.
+
+    The controller is not told. Without `end` the change is for good, as of a surface that is gone.
+    """
 
     begin: PlantChange
     end: PlantChange | None = None
@@ -159,37 +191,59 @@ class Fault:
 
     @property
     def single_faults(self) -> tuple[Fault, ...]:
-        """The faults that happen at the same time: those of a pair, or this one alone."""
+        """
+        The faults that happen at the same time: those of a pair, or this one alone.
+
+        Readers of a fault's action go through them, since a pair has none of its own.
+        """
         return self.parts or (self,)
 
     @property
     def breaks_part(self) -> bool:
-        """Whether a part of the supervisor raises on purpose."""
+        """
+        Whether a part of the supervisor raises on purpose.
+
+        An internal error in the run's status is then expected, and its log is kept silent; in
+        every other fault it is a problem by itself.
+        """
         return any(isinstance(each.action, Breakdown) for each in self.single_faults)
 
     @property
     def allows_return(self) -> bool:
-        """Whether the arm can do again what it did, once the fault has passed."""
+        """
+        Whether the arm can do again what it did, once the fault has passed.
+
+        So it is after a delivery, a breakdown, or what is noticed and answered. A surface that is
+        gone, or a bias that is believed, leaves it elsewhere.
+        """
         return all(
             isinstance(each.action, (Delivery, Breakdown)) or bool(each.declared)
             for each in self.single_faults
         )
 
     def random_source(self, seed: int) -> Random:
-        """Return the source of the details of this fault, another one for each kind and input."""
+        """
+        Return the source of the details of this fault, another one for each kind and input.
+
+        The seed and the letters of both names decide, so that a fault repeats bit by bit, also
+        when others are added to the campaign.
+        """
         letters = sum(ord(letter) for letter in self.kind + self.input)
         return np.random.default_rng([seed, letters])
 
 
 def _vector(values: Any) -> Vector:
+    """Return a copy as floats: edits must not reach the history of readings."""
     return np.array(values, dtype=float)
 
 
 def _sign(choice: Vector) -> float:
+    """Return the sign that the second draw stands for."""
     return 1.0 if choice[1] < 0.5 else -1.0
 
 
 def _random_place(vector: Vector, choice: Vector) -> int:
+    """Return the index that the first draw stands for."""
     return int(choice[0] * vector.size)
 
 
@@ -197,6 +251,7 @@ def _put(number: float) -> ValueChange:
     """Return a change of one number, in a random place, into another."""
 
     def change(values: Any, choice: Vector) -> Vector:
+        """Put `number` in the place that the first draw chooses."""
         vector = _vector(values)
         vector[_random_place(vector, choice)] = number
         return vector
@@ -208,6 +263,7 @@ def _add(size: float) -> ValueChange:
     """Return a change of one number, in a random place, by a size with a random sign."""
 
     def change(values: Any, choice: Vector) -> Vector:
+        """Add the size in the place that the first draw chooses, with the sign of the second."""
         vector = _vector(values)
         vector[_random_place(vector, choice)] += size * _sign(choice)
         return vector
@@ -219,6 +275,7 @@ def _scale(factor: float) -> ValueChange:
     """Return a change of all numbers by a factor."""
 
     def change(values: Any, _choice: Vector) -> Vector:
+        """Scale every number; the draws do not matter."""
         return factor * _vector(values)
 
     return change
@@ -229,16 +286,19 @@ def _bias(share: float) -> ValueChange:
     add_share = _add(share)
 
     def change(values: Any, choice: Vector) -> Vector:
+        """Add the share of its own range, 100 to 200 N or 5 N m, to one number of six."""
         return _vector(values) + FULL_SCALE * add_share(np.zeros(6), choice)
 
     return change
 
 
 def _shorten(values: Any, _choice: Vector) -> Any:
+    """Leave out the last number: a reading of the wrong length."""
     return values[:-1]
 
 
 def _make_constant(values: Any, _choice: Vector) -> Vector:
+    """Put 0.5 everywhere, which is plausible as an angle [rad] and as a speed [rad/s]."""
     return np.full(len(values), 0.5)
 
 
@@ -344,6 +404,7 @@ def _value_faults() -> Iterator[Fault]:
 
 def _jump(size: float) -> ClockError:
     def shift(_since: float, _begin: float) -> float:
+        """Return the same shift [s] throughout the fault."""
         return size
 
     return shift
@@ -351,16 +412,19 @@ def _jump(size: float) -> ClockError:
 
 def _drift(rate: float) -> ClockError:
     def shift(since: float, _begin: float) -> float:
+        """Return a shift [s] that grows from one period in the first tick on."""
         return rate * (since + PERIOD)
 
     return shift
 
 
 def _stand_still(since: float, _begin: float) -> float:
+    """Return the shift [s] by which the clock stays where the fault began."""
     return -since
 
 
 def _restart(_since: float, begin: float) -> float:
+    """Return the shift [s] to a clock that starts again near 0, as of a driver that comes back."""
     return 2.0 * PERIOD - begin
 
 
@@ -381,6 +445,7 @@ def _change_surface(method: str, value: float) -> PlantChange:
     """Return what calls a method of the contacts with one of the first two, and a value."""
 
     def change(plant: Any, choice: Vector) -> None:
+        """Call the method with the first or second surface, as the first draw chooses."""
         getattr(plant.contacts, method)(int(2 * choice[0]), value)
 
     return change
@@ -398,9 +463,11 @@ def _put_wall(number: int) -> PlantEdit:
     """Return what puts an obstacle before the tip, and takes it away."""
 
     def begin(plant: Any, _choice: Vector) -> None:
+        """Put the obstacle 2 mm before the point that it is there for."""
         plant.contacts.put_before_tip(number, 2e-3)
 
     def end(plant: Any, _choice: Vector) -> None:
+        """Take the obstacle out of the way."""
         plant.contacts.shift_surface(number, FAR)
 
     return PlantEdit(begin, end)
@@ -410,9 +477,11 @@ def _limit_torque(factor: float) -> PlantEdit:
     """Return what scales the torque that the drives can give, and undoes that."""
 
     def begin(plant: Any, _choice: Vector) -> None:
+        """Scale what the drives give; the controller's own limit stays."""
         plant.scale_torque_limit(factor)
 
     def end(plant: Any, _choice: Vector) -> None:
+        """Give the drives their limit back."""
         plant.scale_torque_limit(1.0 / factor)
 
     return PlantEdit(begin, end)
@@ -480,12 +549,14 @@ def _publish_twice(plant: Any, _choice: Vector) -> None:
     own_turns = cycle((True, False))
 
     def step_in_turn(torque: Vector) -> Any:
+        """Pass on every second torque, and the plant's first one [N m] in between."""
         return step(torque if next(own_turns) else plant.initial_torque)
 
     plant.step = step_in_turn
 
 
 def _publish_once(plant: Any, _choice: Vector) -> None:
+    """Take the wrapper off again: the plant's own `step` is that of its class."""
     del plant.step
 
 
@@ -502,6 +573,7 @@ def _driver_faults() -> Iterator[Fault]:
 
 
 def _breakdown_faults() -> Iterator[Fault]:
+    """Yield a fault for every part of a tick that can raise."""
     for part in PARTS:
         yield Fault('raises', part, Breakdown(part))
 
@@ -522,7 +594,12 @@ FAULTS: dict[tuple[str, str], Fault] = {
 
 
 def combine_faults(*faults: Fault) -> Fault:
-    """Return several faults as one of which no reaction is declared; a single one as it is."""
+    """
+    Return several faults as one of which no reaction is declared; a single one as it is.
+
+    Either of two may hide the other or ask for another reaction. What holds for every fault
+    (limits of torque, rate and force) is still judged.
+    """
     if len(faults) == 1:
         return faults[0]
     obstacles = [fault.obstacle for fault in faults if fault.obstacle is not None]
@@ -531,7 +608,12 @@ def combine_faults(*faults: Fault) -> Fault:
 
 
 def draw_pairs(count: int, seed: int) -> list[tuple[tuple[str, str], ...]]:
-    """Return the names of faults of different inputs, two at a time, drawn at random."""
+    """
+    Return the names of faults of different inputs, two at a time, drawn at random.
+
+    Two of one input would overwrite each other's values. A pair may come twice; the same `count`
+    and `seed` give the same list.
+    """
     random = np.random.default_rng([seed, count])
     known = list(FAULTS)
     pairs: list[tuple[tuple[str, str], ...]] = []

@@ -34,7 +34,11 @@ Numbers = list[tuple[str, float]]
 
 
 def select_own_run(runs: Runs, estimators: Sequence[str]) -> Runs:
-    """Return the run to be judged, if its R is from one of the estimators, or none is named."""
+    """
+    Return the run to be judged, if its R is from one of the estimators, or none is named.
+
+    The list has one run or none. What other runs of a study show has no say in such a claim.
+    """
     if estimators and runs[0]['estimator'] not in estimators:
         return []
     return runs[:1]
@@ -61,7 +65,12 @@ def select_study_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
 
 
 def select_mismatched_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
-    """Return the runs, with active state, whose surfaces are not as stiff as modelled."""
+    """
+    Return the runs, with active state, whose surfaces are not as stiff as modelled.
+
+    The run to be judged is among them if it is one. An estimator's name may be the beginning of
+    that of a variant.
+    """
     return [
         run
         for run in runs
@@ -103,7 +112,8 @@ def measure_rise(run: Evidence) -> Measurements:
     """
     Yield the rise times of the steps up over the designed one, infinite for `never`.
 
-    A run that the supervisor held tells no `never`, and then nothing of its rise.
+    The designed one includes the loop's delay. A run that the supervisor held tells no `never`,
+    and then nothing of its rise.
     """
     rises = []
     for name, contact in _list_pressed_contacts(run):
@@ -116,45 +126,78 @@ def measure_rise(run: Evidence) -> Measurements:
 
 
 def measure_motion_error(run: Evidence) -> Measurements:
-    """Yield the rms error of the position in motion [mm]."""
+    """
+    Yield the rms error of the position in motion [mm].
+
+    It counts along the directions that no contact constrains, in the window `moving`. A run that
+    ended before the motion yields nothing.
+    """
     error = run['motion']['moving_position_rms_m']
     if error is not None and run['ran_in_motion']:
         yield '', 1e3 * error
 
 
 def measure_orientation_error(run: Evidence) -> Measurements:
-    """Yield the largest error of the orientation [rad]."""
+    """
+    Yield the largest error of the orientation under load [rad].
+
+    It is the angle between the measured and the desired orientation, of a run that came to its
+    motion.
+    """
     if run['ran_in_motion']:
         yield '', run['motion']['orientation_max_rad']
 
 
 def measure_variance_at_rest(run: Evidence) -> Measurements:
-    """Yield the median R of each contact at rest [N^2]."""
+    """
+    Yield the median R of each contact at rest [N^2].
+
+    The median of the window `rest`, pushes left out; of couples nothing, since the paper speaks of
+    forces.
+    """
     for name, contact in _list_pressed_contacts(run):
         yield name, contact['rest']['variance_n2']
 
 
 def measure_variance_in_motion(run: Evidence) -> Measurements:
-    """Yield the median R of each contact in motion [N^2]."""
+    """
+    Yield the median R of each contact in motion [N^2].
+
+    The median of the window `moving`, from 2 s after the start of the motion on: R is greatest at
+    the start itself.
+    """
     for name, contact in _list_pressed_contacts(run):
         yield name, contact['moving']['variance_n2']
 
 
 def measure_variance_peak(run: Evidence) -> Measurements:
-    """Yield the largest R of each contact at a push over its median at rest."""
+    """
+    Yield the largest R of each contact at a push over its median at rest.
+
+    It is None where there was no push, or R at rest is not known or 0.
+    """
     for name, contact in _list_pressed_contacts(run):
         yield name, _divide(contact['variance_peak_n2'], contact['rest']['variance_n2'])
 
 
 def count_unstable(run: Evidence) -> Measurements:
-    """Yield 1 for a run that was not stable, 0 for one that was and ran in motion."""
+    """
+    Yield 1 for a run that was not stable, 0 for one that was and ran in motion.
+
+    A stable run without motion yields nothing: the paper's point is what happens in motion. So
+    does one that was not judged.
+    """
     stable = run['stable']
     if stable is False or (stable and run['ran_in_motion']):
         yield '', float(not stable)
 
 
 def count_unstable_in_motion(run: Evidence) -> Measurements:
-    """Yield what `count_unstable` does, and 0 for a run that was not stable before its motion."""
+    """
+    Yield what `count_unstable` does, and 0 for a run that was not stable before its motion.
+
+    Such a run does not show that it is the motion that made it unstable.
+    """
     after_motion = run['unstable_after_motion_s']
     began_in_motion = after_motion is not None and after_motion >= 0.0
     for name, unstable in count_unstable(run):
@@ -162,7 +205,12 @@ def count_unstable_in_motion(run: Evidence) -> Measurements:
 
 
 def measure_error_in_motion(run: Evidence) -> Measurements:
-    """Yield the rms error in motion over the command, infinite where the contact is lost."""
+    """
+    Yield the rms error in motion over the command, infinite where the contact is lost.
+
+    It is infinite for each contact of a run that was not stable, too. A run that was not judged
+    yields nothing.
+    """
     for name, contact in _list_pressed_contacts(run):
         moving = contact['moving']
         if run['stable'] is False or (run['stable'] and moving['lost']):
@@ -172,7 +220,12 @@ def measure_error_in_motion(run: Evidence) -> Measurements:
 
 
 def measure_error_at_rest(run: Evidence) -> Measurements:
-    """Yield the mean error at rest over the command, infinite if the run is not stable."""
+    """
+    Yield the mean error at rest over the command, infinite if the run is not stable.
+
+    The mean takes out the noise: what stays is what the active state is to compensate. A run that
+    was not judged yields nothing.
+    """
     for name, contact in _list_pressed_contacts(run):
         rest = contact['rest']
         if rest['command_n'] and run['stable'] is not None:
@@ -181,14 +234,24 @@ def measure_error_at_rest(run: Evidence) -> Measurements:
 
 
 def measure_start_of_motion(run: Evidence) -> Measurements:
-    """Yield the largest error as the motion starts over the standard deviation at rest."""
+    """
+    Yield the largest error as the motion starts over the standard deviation at rest.
+
+    The start is its first 2 s, until the window `moving` begins. Runs that ended before yield
+    nothing.
+    """
     if run['ran_in_motion']:
         for name, contact in _list_pressed_contacts(run):
             yield name, _divide(contact['start_peak_n'], contact['rest']['std_n'])
 
 
 def measure_recovery(run: Evidence) -> Measurements:
-    """Yield how long lasting pushes at rest take to be controlled out [s]."""
+    """
+    Yield how long lasting pushes at rest take to be controlled out [s].
+
+    A push lasts if it takes 0.5 s or more: a shorter one is over before any law could answer.
+    Infinite if the force never settled.
+    """
     for name, contact in _list_pressed_contacts(run):
         for answer in contact['recoveries']:
             if not answer['moving'] and answer['duration'] >= LASTING_PUSH:
@@ -197,7 +260,13 @@ def measure_recovery(run: Evidence) -> Measurements:
 
 @dataclass(frozen=True)
 class Statement:
-    """What the paper says, how it is measured, and between which numbers it holds."""
+    """
+    What the paper says, how it is measured, and between which numbers it holds.
+
+    It holds if every number that the selected runs give lies within `low` and `high`, both
+    included. `select` and `measure` are named functions of this module; what differs from claim to
+    claim is data.
+    """
 
     text: str
     paper: str  # where, or the figure it gives
@@ -215,7 +284,12 @@ class Statement:
     relative_to: str = ''
 
     def collect_numbers(self, runs: Runs) -> Numbers:
-        """Return the numbers of the runs that it is about, none if they do not tell."""
+        """
+        Return the numbers of the runs that it is about, none if they do not tell.
+
+        Each comes with the name of its contact. With `relative_to` there is a single one: a ratio
+        of medians over runs, none where the base is 0 or infinite.
+        """
         chosen = self.select(runs, self.estimators)
         if not self.relative_to:
             return [number for run in chosen for number in self._measure_known(run)]
@@ -239,7 +313,11 @@ class Statement:
         return median(worst) if worst else None
 
     def describe_numbers(self, numbers: Numbers) -> str:
-        """Return numbers as text: their range for each name, or of how many runs it is true."""
+        """
+        Return numbers as text: their range for each name, or of how many runs it is true.
+
+        An infinite number is `never`. A range whose ends read the same is written once.
+        """
         if self.counted:
             count = sum(value for _, value in numbers)
             return f'{count:.0f} of {len(numbers)} {self.counted}'
@@ -258,7 +336,12 @@ class Statement:
         return self.form.format(value)
 
     def describe_bounds(self) -> str:
-        """Return between which numbers it holds, as text."""
+        """
+        Return between which numbers it holds, as text.
+
+        What is counted holds for all runs or for none, since the numbers are 0 or 1 and the bounds
+        one of them.
+        """
         if self.counted:
             return f'all {self.counted}' if self.low else f'none {self.counted}'
         low = self.form.format(self.low)
@@ -271,7 +354,12 @@ class Statement:
 
 
 class Claim(NamedTuple):
-    """One row of the claims table: what the paper says, and what the data say of it."""
+    """
+    One row of the claims table: what the paper says, and what the data say of it.
+
+    The fields are the keys of `claims` in ``summary.json``; `why` has the quantity and its bounds,
+    so that a reader can disagree with the verdict.
+    """
 
     claim: str
     paper: str
@@ -297,7 +385,12 @@ def judge_claims_of_run(
 
 
 def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
-    """Judge every claim by the evidence of a run; runs of another plant or K_2 are left out."""
+    """
+    Judge every claim by the evidence of a run; runs of another plant or K_2 are left out.
+
+    `comparison` are the runs of a study, which may have the judged one among them. Without them,
+    claims that compare estimators are not judged: their `holds` is None.
+    """
     runs = [evidence]
     for run in comparison:
         same_plant = run['plant'] == evidence['plant']

@@ -42,7 +42,12 @@ LASTING_PUSH = 0.5  # s; a push this long is to be controlled out while it lasts
 
 
 class CommandedStep(NamedTuple):
-    """A step of the force that is asked of a contact at rest."""
+    """
+    A step of the force that is asked of a contact at rest.
+
+    Steps during a motion are none: what they are answered with cannot be told from roughness and
+    friction.
+    """
 
     time: float  # s
     before: float  # N
@@ -94,14 +99,23 @@ class ContactMetrics:
 
     @property
     def asked_windows(self) -> dict[str, Mask]:
-        """The windows `rest` and `moving` as far as the contact is to press."""
+        """
+        The windows `rest` and `moving` as far as the contact is to press.
+
+        A contact that is not commanded in a part of the run has no error to be judged by there; of
+        a couple its normal force decides.
+        """
         windows = self.run.windows
         asked = self.normal_command != 0.0
         return {'rest': windows.rest & asked, 'moving': windows.moving & asked}
 
     @cached_property
     def unknown(self) -> Mask:
-        """Where the force is not known for more than 0.1 s, shape (m,)."""
+        """
+        Where the force is not known for more than 0.1 s, shape (m,).
+
+        Shorter gaps are late or lost messages, which every recording has.
+        """
         data = self.run.data
         unknown = np.zeros(data.ticks, dtype=bool)
         for begin, end in find_true_stretches(np.isnan(self.force)):
@@ -213,7 +227,11 @@ class ContactMetrics:
 
     @property
     def largest_step(self) -> StepResponse | None:
-        """The answer to the largest step up, None without any step."""
+        """
+        The answer to the largest step up, None without any step.
+
+        It is the one that the summary's numbers are of: the noise counts least in it.
+        """
         return max(self.step_responses, key=_step_size, default=None)
 
     def _list_topic_steps(self) -> list[CommandedStep]:
@@ -266,7 +284,11 @@ class ContactMetrics:
         return find_long_stretches(self.pressed & lost, LOSS_TIME * rate - 1e-9)
 
     def find_lost_share(self, window: Mask) -> float | None:
-        """Return in what share of a window the force was 0 N; None for a couple."""
+        """
+        Return in what share of a window the force was 0 N; None for a couple.
+
+        Samples of unknown force do not count; None also where all of them are.
+        """
         if self.is_couple:
             return None
         return statistic_within(window & np.isfinite(self.force), self.force <= 0.0)

@@ -30,7 +30,12 @@ OTHER_COLOUR = 'yellow'  # of all other verdicts
 
 
 class ShownNumber(NamedTuple):
-    """A number of ``summary.json`` that is shown of each contact."""
+    """
+    A number of ``summary.json`` that is shown of each contact.
+
+    Terminal and report have the same rows in the same order, by the table `NUMBERS` below; digits
+    are those behind the point.
+    """
 
     key: str
     label: str
@@ -123,6 +128,7 @@ def show_progress(
             forces: Mapping[str, float],
             realtime_factor: float = 0.0,
         ) -> None:
+            """Move the bar to a time, and put the newest forces beside it."""
             texts = [f'{name} {force:5.1f} N' for name, force in forces.items()]
             if realtime_factor:
                 texts.append(f'{realtime_factor:.2f} x real time')
@@ -134,7 +140,12 @@ def show_progress(
 
 
 def make_count_bar(console: Console | None = None) -> progress.Progress:
-    """Return the bar of a study: what is done, for how long, and how long it will take."""
+    """
+    Return the bar of a study: what is done, for how long, and how long it will take.
+
+    The speed is estimated over two hours: jobs differ in length, and a shorter time would let the
+    end jump to and fro.
+    """
     return make_progress_bar(
         '{task.description}',
         progress.BarColumn(),
@@ -149,7 +160,12 @@ def make_count_bar(console: Console | None = None) -> progress.Progress:
 
 
 def describe_run(summary: Mapping[str, Any]) -> str:
-    """Return what a run was, and what its forces are, in one line from its ``summary.json``."""
+    """
+    Return what a run was, and what its forces are, in one line from its ``summary.json``.
+
+    Plant and seed are named of simulated runs only. Where true forces are not known, the line says
+    that numbers are of measured ones.
+    """
     parts = [summary['scenario']]
     simulated = summary['mode'] not in (EXTERNAL_RUN, RECORDED)
     if simulated:
@@ -165,7 +181,12 @@ def describe_run(summary: Mapping[str, Any]) -> str:
 
 
 def list_summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
-    """Return rows of a label and the numbers of the contacts, without rows of unknown ones."""
+    """
+    Return rows of a label and the numbers of the contacts, without rows of unknown ones.
+
+    All cells are texts, `-` for a number that is not known of one contact. The terminal and the
+    report show the same rows.
+    """
     rows = []
     for number in NUMBERS:
         label = f'{number.window}: {number.label}' if number.window else number.label
@@ -179,7 +200,12 @@ def list_summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
 
 
 def print_summary(console: Console, summary: Mapping[str, Any], folder: object) -> None:
-    """Print what a run was, its numbers as far as they are known, verdict, and where it is."""
+    """
+    Print what a run was, its numbers as far as they are known, verdict, and where it is.
+
+    `folder` is where the results lie, as it is to be shown. The claims follow in a table of their
+    own where the scenario is the paper's.
+    """
     console.print(describe_run(summary), markup=False)
     table = Table('')
     for name in summary['contacts']:
@@ -195,7 +221,12 @@ def print_summary(console: Console, summary: Mapping[str, Any], folder: object) 
 
 
 def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
-    """Print what the paper says beside what a run shows, as far as the run can tell."""
+    """
+    Print what the paper says beside what a run shows, as far as the run can tell.
+
+    Claims are the mappings of ``summary.json``. Of those that one run cannot judge only the number
+    is said, and which study judges them.
+    """
     judged = [claim for claim in claims if claim['holds'] is not None]
     table = Table('claim of the paper', 'measured', 'expected', '', show_lines=True)
     for claim in judged:
@@ -216,7 +247,12 @@ def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
 
 
 def describe_arm(summary: Mapping[str, Any]) -> str:
-    """Return motion errors and torque of a run, as far as they are known, in one line."""
+    """
+    Return motion errors and torque of a run, as far as they are known, in one line.
+
+    It is empty of a recording that knows neither; numbers are those under `motion` and `torque` of
+    the summary.
+    """
     numbers = summary['motion'] | summary['torque']
     texts = []
     for name, form in ARM_NUMBERS.items():

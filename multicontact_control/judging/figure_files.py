@@ -86,7 +86,13 @@ def draw_side_by_side(
     folder: Path,
     formats: Sequence[str] = FIGURE_FORMATS,
 ) -> list[Path]:
-    """Draw the forces of runs beside each other: all of a run, and its last step at rest."""
+    """
+    Draw the forces of runs beside each other: all of a run, and its last step at rest.
+
+    A column of panels for each run, a row for each contact, on common force axes; names stand
+    above the columns. The files are ``side_by_side`` in `folder`, one of each format, and are
+    returned.
+    """
     count = max(len(run.contacts) for run in runs)
     sheet = Figure(figsize=(5.5 * len(runs), 2.4 * (count + 1)), layout='constrained')
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')

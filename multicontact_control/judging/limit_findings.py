@@ -31,7 +31,12 @@ SATURATED_SHARE = 0.999999  # of a torque limit, from which on a torque is at it
 
 
 class Finding(NamedTuple):
-    """A limit that was passed: which one, by how much, and when."""
+    """
+    A limit that was passed: which one, by how much, and when.
+
+    Each is a reason of the verdict `not stable`; the text stands in `instabilities` of the
+    summary.
+    """
 
     text: str
     time: float | None = None  # s; None for what was missed throughout the run
@@ -41,7 +46,9 @@ def list_findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]
     """
     Return the limits that a run has passed, those of couples while their contact is pressed.
 
-    `mode` and `ended_early` are as for `judge_run`; an end before its time comes first.
+    They come in the order of the verdict's reasons: an end before its time, numbers that are not
+    finite, saturated torques, then each contact's. `mode` and `ended_early` are as for
+    `judge_run`.
     """
     findings = []
     interrupted = ended_early == INTERRUPTED
@@ -72,6 +79,7 @@ def _is_made(contact: ContactMetrics) -> bool:
 
 
 def _find_infinite_numbers(data: RunData) -> Iterator[Finding]:
+    """Yield the first time of a number that is not finite, of all series that must be."""
     infinite = np.zeros(data.ticks, dtype=bool)
     for series in (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas):
         infinite |= np.isinf(series).any(axis=1)

@@ -20,11 +20,21 @@ NO_TRUTH = 'no ground truth'
 
 
 class RunMetrics(RunSeries):
-    """A run with the metrics of its contacts, of its motion and of its torques."""
+    """
+    A run with the metrics of its contacts, of its motion and of its torques.
+
+    Verdict, summary, claims and figures all read them here, so that they cannot differ. Each is
+    computed when it is first asked for.
+    """
 
     @cached_property
     def contacts(self) -> list[ContactMetrics]:
-        """The metrics of each of the r columns of contacts."""
+        """
+        The metrics of each of the r columns of contacts.
+
+        A couple of an edge or a plane has metrics of its own, behind those of the normal force of
+        its contact.
+        """
         return [ContactMetrics(self, column) for column in range(len(self.leaders))]
 
     def summarise_motion(self) -> dict[str, float | None]:
@@ -66,21 +76,36 @@ class RunMetrics(RunSeries):
 
     @cached_property
     def least_torque_limit(self) -> Vector:
-        """The smaller of the controller's and the drives' limits, shape (n,) [N m], or inf."""
+        """
+        The smaller of the controller's and the drives' limits, shape (n,) [N m], or inf.
+
+        A robot behind the topics has the controller's alone: what its drives can give is not known
+        here.
+        """
         limit = torque_limit(self.setup)
         if self.setup.simulated:
             limit = np.minimum(limit, self.setup.plant.torque_limit)
         return limit
 
     def summarise_torque(self) -> dict[str, float | None]:
-        """Return how much of the torque limits was used; None without any limit."""
+        """
+        Return how much of the torque limits was used; None without any limit.
+
+        It is the largest share of any joint and sample, the `torque` of ``summary.json``. Samples
+        without an answer do not count.
+        """
         fraction: Matrix = np.abs(self.data.torque) / self.least_torque_limit
         limited = np.isfinite(fraction) & np.isfinite(self.least_torque_limit)
         return {'max_fraction_of_limit': statistic_within(limited, fraction, np.max)}
 
 
 def describe_unknown_truth(without: Sequence[str], contacts: Collection[str]) -> str:
-    """Return in words which of all contacts are `without` a true force; empty if none is."""
+    """
+    Return in words which of all contacts are `without` a true force; empty if none is.
+
+    Forces of these are judged as measured, so every line that quotes a number says so. Without any
+    contact there is no truth at all.
+    """
     if contacts and not without:
         return ''
     if len(without) == len(contacts):
@@ -89,7 +114,12 @@ def describe_unknown_truth(without: Sequence[str], contacts: Collection[str]) ->
 
 
 def torque_limit(setup: Setup) -> Vector:
-    """Return the controller's limits, shape (n,) [N m], infinite where there is none."""
+    """
+    Return the controller's limits, shape (n,) [N m], infinite where there is none.
+
+    The order is that of `robot.joint_names`. Drives of a simulated plant may give less; see
+    `RunMetrics.least_torque_limit`.
+    """
     config = setup.controller
     if config.torque_limit:
         return np.array(config.torque_limit)

@@ -37,7 +37,12 @@ LONGEST_BRIDGE = 0.01  # s of missing samples to interpolate: a tenth of a slow 
 
 
 class Oscillation(NamedTuple):
-    """An episode in which a force oscillates."""
+    """
+    An episode in which a force oscillates.
+
+    It is made of stretches of 2 s that follow each other, each of which oscillates by the three
+    conditions above.
+    """
 
     recognised_at: float  # when it had lasted for a stretch, 2 s [s]
     duration: float  # s
@@ -46,7 +51,12 @@ class Oscillation(NamedTuple):
 
 
 class SpectralLine(NamedTuple):
-    """The line of one stretch."""
+    """
+    The strongest line in the spectrum of one stretch of an error.
+
+    Frequency and rms tell of an oscillation only if the stretch oscillates by it: every noise has
+    a strongest line.
+    """
 
     oscillates: bool
     frequency: float  # Hz

@@ -129,7 +129,12 @@ def _round_number(value: float, smallest: float) -> float | None:
 
 
 def write_page(path: Path, title: str, body: str) -> None:
-    """Write a page of a plain title and a body in HTML, with what draws its figures."""
+    """
+    Write a page with a title and a body of HTML, which needs no other file and no network.
+
+    Style and script are those of the package, written into it; charts are drawn by the script from
+    data on the page.
+    """
     drawing = ''
     if FIGURE_START in body:
         # The license goes with every copy.

@@ -25,7 +25,12 @@ WINDOW_COLOURS = {'rest': '#eef1f4', 'start': '#f9e2d6', 'moving': '#faf3e0'}
 
 
 class ShadedSpan(NamedTuple):
-    """A stretch of a run that is shaded: the name is one of `WINDOW_COLOURS`."""
+    """
+    A stretch of a run that is shaded: the name is one of `WINDOW_COLOURS`.
+
+    Shaded are the windows that the numbers of the summary are of, so that a reader sees what was
+    judged.
+    """
 
     name: str
     start: float  # s
@@ -33,7 +38,12 @@ class ShadedSpan(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """A series as a line."""
+    """
+    A series as a line over the time of the run.
+
+    NaN is a gap in it. A faint or broad line lies below the others, so that what it is compared
+    with can be seen.
+    """
 
     label: str
     values: Vector  # shape (m,)
@@ -44,7 +54,12 @@ class Trace(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """Lines over time on common axes."""
+    """
+    Lines over time on common axes.
+
+    Its label has the unit in brackets; figures whose panels share it are drawn with the same
+    vertical axis, so that heights can be compared.
+    """
 
     label: str  # of the vertical axis
     traces: Sequence[Trace]
@@ -53,7 +68,11 @@ class Panel(NamedTuple):
 
 
 class RunFigure(NamedTuple):
-    """One figure of a run: panels over time, below each other."""
+    """
+    One figure of a run: panels over time, below each other.
+
+    The file's name tells which figure of the paper (P04 Figs 3 to 6) it stands beside, if any.
+    """
 
     file: str  # name without an ending
     title: str
@@ -61,5 +80,9 @@ class RunFigure(NamedTuple):
 
 
 def choose_colour(index: int) -> str:
-    """Return the colour of the curve of a contact; there are seven before they come again."""
+    """
+    Return the colour of the curve of a contact; there are seven before they come again.
+
+    `index` is the contact's column, so that a contact has one colour in every figure of a run.
+    """
     return CURVE_COLOURS[index % len(CURVE_COLOURS)]

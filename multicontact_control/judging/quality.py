@@ -16,7 +16,11 @@ DESIGNED_MOTION_ERROR = 0.005  # m rms
 
 
 class Quality(NamedTuple):
-    """One property of a run, in words."""
+    """
+    One property of a run, in words with its number, and whether it is as designed.
+
+    The bounds are the constants above: those of the paper's claims, where it makes one.
+    """
 
     text: str
     as_designed: bool
@@ -26,7 +30,8 @@ def describe_quality(run: RunMetrics, motion_error: float | None) -> str:
     """
     Return in words how good a run is, first what is not as designed.
 
-    `motion_error` is that of the window `moving` [m rms]; None if it is not known.
+    A run can be stable and poor: this text tells why. `motion_error` is that of the window
+    `moving` [m rms]; None if it is not known.
     """
     qualities = [*_judge_steps(run)]
     if motion_error is not None:

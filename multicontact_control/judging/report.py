@@ -128,7 +128,12 @@ def _render_run(
 
 
 def render_figures(run: RunMetrics, prefix: str) -> str:
-    """Return the figures of a run, whose names on the page begin with a prefix."""
+    """
+    Return the figures of a run, whose names on the page begin with a prefix.
+
+    Names are unique on the page, since its script finds a chart by them. The result is HTML with
+    the data of every trace.
+    """
     shaded = list_shaded_spans(run)
     parts = []
     for figure in describe_figures(run):

@@ -277,7 +277,12 @@ def _find_rate(path: Path, messages: BagMessages) -> float:
 
 
 def infer_contact_types(names: Sequence[str]) -> dict[str, ContactType]:
-    """Return the types of contacts by name, from the names of forces and couples."""
+    """
+    Return the types of contacts by name, from the names of forces and couples.
+
+    A recording names its columns only: `blade/along` beside `blade` makes an edge, a couple
+    across, too, a plane. Configured contacts tell their type themselves.
+    """
     along = SUFFIXES[ALONG]
     across = SUFFIXES[ACROSS]
     types: dict[str, ContactType] = {}

@@ -53,7 +53,12 @@ def _drop_unknown(figure: RunFigure) -> RunFigure:
 
 
 def describe_force(contact: ContactMetrics) -> RunFigure:
-    """Return the figure of a contact's measured and estimated force (P04 Figs 3, 4)."""
+    """
+    Return the figure of a contact's measured and estimated force (P04 Figs 3, 4).
+
+    The upper panel has the measured force, the lower one the true and the estimated one, each with
+    the command. Further contacts are numbered 3_3, 3_4, ...
+    """
     data = contact.run.data
     column = contact.column
     number = f'3_{column + 1}' if column >= 2 else f'{3 + column}'
@@ -153,7 +158,8 @@ def list_shaded_spans(run: RunMetrics) -> list[ShadedSpan]:
     """
     Return the windows that the summary is of, without the pauses between setpoints.
 
-    The start of a scenario's motion, up to its window, is one as well: R is greatest there.
+    Two of a kind less than 0.1 s apart are one. The start of a scenario's motion, up to its
+    window, is one as well: R is greatest there.
     """
     windows = {
         'rest': run.windows.rest,

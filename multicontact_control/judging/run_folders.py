@@ -138,23 +138,42 @@ def _empty_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def find_run_folder(path: Path) -> Path:
-    """Return the folder of a recording: of a file that it is in, of a run's ``bag/`` the run's."""
+    """
+    Return the folder of a recording: of a file that it is in, of a run's ``bag/`` the run's.
+
+    So every path that a user may name leads to the same run. It is not checked that the folder is
+    one.
+    """
     folder = path.parent if path.is_file() else path
     return folder.parent if folder.name == BAG_FOLDER else folder
 
 
 def is_run_folder(path: Path) -> bool:
-    """Return whether a path is the folder of a run, whether it came to its end or not."""
+    """
+    Return whether a path is the folder of a run, whether it came to its end or not.
+
+    Its configuration is written before the run begins, and tells it from the folder of a bare
+    recording.
+    """
     return (path / CONFIG_FOLDER).is_dir()
 
 
 def is_finished_run(path: Path) -> bool:
-    """Return whether a path is the folder of a run that came to its end."""
+    """
+    Return whether a path is the folder of a run that came to its end.
+
+    The summary is written last; without it only the recording can be read back.
+    """
     return is_run_folder(path) and (path / SUMMARY_FILE).is_file()
 
 
 def find_report_folder(path: Path) -> Path:
-    """Return where the report on a path goes: into a run's folder, beside a recording."""
+    """
+    Return where the report on a path goes: into a run's folder, beside a recording.
+
+    Of a recording ``drive.mcap`` it is ``drive-report``, since the folder is another program's. It
+    is not made here.
+    """
     if is_run_folder(path) or (path / BAG_FOLDER).is_dir():
         return path
     path = path.resolve()

@@ -22,7 +22,12 @@ ROUNDING_TIME = 1e-9  # s, by which the stamp of a sample may be off by rounding
 
 
 class Windows(NamedTuple):
-    """The stretches of a run that are judged, as masks of its samples, shape (m,)."""
+    """
+    The stretches of a run that are judged, as masks of its samples, shape (m,).
+
+    Rest and motion are judged apart, since noise, and so R, differs between them by two orders.
+    Samples that were not recorded are in none of them.
+    """
 
     rest: Mask  # under the last force step, from 1 s after it until the motion starts
     moving: Mask  # from 2 s after the start of the motion on
@@ -30,7 +35,12 @@ class Windows(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A push of the simulated plant on the tool."""
+    """
+    A push of the simulated plant on the tool.
+
+    Its force is not among the fields: it is judged by what the contacts feel of it, and how soon
+    they are back.
+    """
 
     start: float  # s
     duration: float  # s
@@ -74,7 +84,12 @@ class RunSeries:
 
     @cached_property
     def windows(self) -> Windows:
-        """The judged stretches, as far as they were recorded."""
+        """
+        The judged stretches, as far as they were recorded.
+
+        Of a scenario they are known from its times; of a run that obeys commands they follow from
+        what was asked for.
+        """
         if self.setup.commanded_by_topic:
             planned = self._find_commanded_windows()
         else:
@@ -115,7 +130,12 @@ class RunSeries:
 
     @cached_property
     def quiet_windows(self) -> dict[str, Mask]:
-        """The windows `rest` and `moving` without the pushes and 1 s after each."""
+        """
+        The windows `rest` and `moving` without the pushes and 1 s after each.
+
+        Evidence of noise and steady errors is taken from them; `windows` keep the pushes, as a
+        user of the arm would feel them.
+        """
         quiet = np.ones(self.data.ticks, dtype=bool)
         for push in self.pushes:
             settled = push.start + push.duration + SETTLE_AFTER_PUSH
@@ -127,20 +147,34 @@ class RunSeries:
 
     @property
     def pushes(self) -> list[Push]:
-        """The pushes of the simulated plant."""
+        """
+        The pushes of the simulated plant, in the order of its configuration.
+
+        A run of the user's own robot has none that is known.
+        """
         plant = self.setup.plant
         return [Push(*push) for push in zip(plant.push_start, plant.push_duration)]
 
     @cached_property
     def command(self) -> Matrix:
-        """The forces asked for by the scenario or over topics, shape (m, r) [N]."""
+        """
+        The forces asked for by the scenario or over topics, shape (m, r) [N].
+
+        It jumps with each step, where the desired force alpha_des of the task may ramp up; errors
+        are judged against it.
+        """
         if self.setup.commanded_by_topic:
             return self.data.command
         return self.setup.commanded(self.data.time)
 
     @cached_property
     def has_truth(self) -> Mask:
-        """Whether the true force is known for 0.9 of the load, shape (r,)."""
+        """
+        Whether the true force is known for 0.9 of the load, shape (r,).
+
+        Only a simulated plant knows it. With less, a statistic over the known part would be that
+        of a chosen part of the run.
+        """
         shares = [
             self.find_known_share(i, true)
             for i, true in enumerate(self.data.alpha_true.T)
@@ -149,11 +183,20 @@ class RunSeries:
 
     @cached_property
     def force(self) -> Matrix:
-        """The true forces where they are known, else those measured, shape (m, r) [N]."""
+        """
+        The true forces where they are known, else those measured, shape (m, r) [N].
+
+        A column is the one or the other throughout, as `has_truth` says, and never a mixture.
+        """
         return np.where(self.has_truth, self.data.alpha_true, self.data.alpha_meas)
 
     def find_pressed(self, i: int) -> Mask:
-        """Return the samples under load in which the contact of column i is to press, (m,)."""
+        """
+        Return the samples under load in which the contact of column i is to press, (m,).
+
+        The normal force decides also for a couple, whose own command may be 0 while its contact is
+        pressed.
+        """
         return self.windows.loaded & (self.command[:, self.leaders[i]] > 0.0)
 
     def find_known_share(self, i: int, force: Vector) -> float:
@@ -169,17 +212,31 @@ class RunSeries:
         return float(known.mean())
 
     def list_without_truth(self) -> list[str]:
-        """Return the names of the contacts whose true forces are not known."""
+        """
+        Return the names of the contacts whose true forces are not known.
+
+        They are in the order of the columns, couples by their own names, as for
+        `describe_unknown_truth`.
+        """
         names = self.data.contact_names
         return [name for name, known in zip(names, self.has_truth) if not known]
 
     def between(self, start: float, end: float) -> Mask:
-        """Return the samples from one time on, until before another [s], shape (m,)."""
+        """
+        Return the samples from one time on, until before another [s], shape (m,).
+
+        Times may be off by 1 ns: k times a period is not always the number that a file has for it.
+        """
         time = self.data.time
         return (time >= start - ROUNDING_TIME) & (time < end - ROUNDING_TIME)
 
     def find_next_event(self, time: float) -> float:
-        """Return when the next push, or force step or motion of the scenario, begins [s]."""
+        """
+        Return when the next push, or force step or motion of the scenario, begins [s].
+
+        It ends the time in which an answer can be judged; infinite after the last event. Commands
+        over topics are not among them.
+        """
         events: list[float] = []
         if self.setup.simulated:
             events += self.setup.plant.push_start
@@ -211,12 +268,22 @@ def _find_rms(values: Vector) -> float:
 
 
 def rms_within(window: Mask, values: Vector) -> float | None:
-    """Return the root mean square of a series within a window; None if nothing is known."""
+    """
+    Return the root mean square of a series within a window; None if nothing is known.
+
+    Window and series have shape (m,); samples that are NaN do not count, and the unit is that of
+    the series.
+    """
     return statistic_within(window, values, _find_rms)
 
 
 def find_long_stretches(mask: Mask, least: float) -> list[tuple[int, int]]:
-    """Return first sample and end of every stretch of True of at least `least` samples."""
+    """
+    Return first sample and end of every stretch of True of at least `least` samples.
+
+    The end is the sample behind the last one, as of a slice. `least` need not be whole: it is
+    often a time times the rate.
+    """
     return [
         (begin, end) for begin, end in find_true_stretches(mask) if end - begin >= least
     ]

@@ -35,7 +35,11 @@ LogLine = tuple[float, str]  # time [s], and what changed
 
 
 class SupervisorEvent(NamedTuple):
-    """A line of the supervisor's log: its time [s], and the fields of `SupervisorStatus`."""
+    """
+    A line of the supervisor's log: its time [s], and the fields of `SupervisorStatus`.
+
+    An event holds until the next one: the log has a line for each change, not for each tick.
+    """
 
     time: float
     reaction: str
@@ -45,7 +49,12 @@ class SupervisorEvent(NamedTuple):
 
     @property
     def replaces_law(self) -> bool:
-        """Whether a reaction stands instead of the control law; a larger R does not."""
+        """
+        Whether a reaction stands instead of the control law; a larger R does not.
+
+        Time under such a reaction counts as held: what the contacts do then is not the law's
+        merit.
+        """
         return self.reaction not in (NONE, INFLATE)
 
 
@@ -71,7 +80,12 @@ def read_event(time: float, line: str) -> SupervisorEvent:
 
 
 def count_losses(run: RunSeries, log: Sequence[LogLine]) -> dict[str, int]:
-    """Return how often the supervisor lost each contact under load, by the contact's name."""
+    """
+    Return how often the supervisor lost each contact under load, by the contact's name.
+
+    A loss is a change from impact or holding to a state in which the contact is lost, retracts or
+    is given up. It is what the controller believed, whatever the true force was.
+    """
     counts = dict.fromkeys(run.setup.controller.contact_names, 0)
     events = [read_event(*line) for line in log]
     for before, event in _list_changes_under_load(run, events):
@@ -150,7 +164,12 @@ def _list_begun_interventions(
 
 
 def find_repetition(times: Sequence[float]) -> float | None:
-    """Return the first time [s] by which something came more than 5 times within 10 s, or None."""
+    """
+    Return the first time [s] by which something came more than 5 times within 10 s, or None.
+
+    `times` are in their order. A supervisor that steps in so often has become a part of the loop,
+    and the run is not the law's.
+    """
     for early, late in zip(times, times[MOST_REPETITIONS:]):
         if late - early <= REPETITION_TIME:
             return late

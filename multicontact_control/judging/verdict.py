@@ -37,7 +37,12 @@ LEAST_KNOWN_SHARE = 0.5
 
 
 class Verdict(NamedTuple):
-    """What a run is called, and why."""
+    """
+    What a run is called, and why.
+
+    `docs/verdicts.md` says what each name means and which limits lead to it. `stable` of the
+    summary is true, false or None by the name.
+    """
 
     name: str  # `STABLE`, `POOR`, `HELD`, `NOT_STABLE`, `SILENT` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
@@ -49,7 +54,12 @@ class Verdict(NamedTuple):
 
 
 def describe_verdict(summary: Mapping[str, Any]) -> str:
-    """Return the verdict of a run and its reasons, as its ``summary.json`` has them."""
+    """
+    Return the verdict of a run and its reasons, as its ``summary.json`` has them.
+
+    Terminal, report and figure titles have the same words. Where true forces are not known, they
+    say that it is by measured ones.
+    """
     text: str = summary['verdict']
     reasons = '; '.join(summary['instabilities'])
     if text == UNJUDGED:

@@ -29,7 +29,12 @@ class Cell(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """One value of every factor of a part, on one of the part's plants."""
+    """
+    One value of every factor of a part, on one of the part's plants.
+
+    A label is what the table shows; the settings are what it stands for, which may be several
+    parameters of one level.
+    """
 
     plant: str
     labels: Mapping[str, Any]  # value, or label of a level, by factor
@@ -37,7 +42,11 @@ class Combination(NamedTuple):
 
 
 def combine_factors(part: PartConfig) -> Iterator[Combination]:
-    """Yield every combination of a part's plants and factors; the last factor changes first."""
+    """
+    Yield every combination of a part's plants and factors; the last factor changes first.
+
+    Plants are the outermost loop. Where two factors set the same parameter the later one wins.
+    """
     settings_of_factors = [
         factor.settings(name) for name, factor in part.factors.items()
     ]
@@ -139,7 +148,12 @@ def plan_runs(study: StudyConfig) -> list[Cell]:
 def cells_with_seeds(
     factors: Mapping[str, Any], job: Any, seeds: Sequence[int]
 ) -> list[Cell]:
-    """Return a cell for each seed: the run of a `RunJob` with this seed, and its factors."""
+    """
+    Return a cell for each seed: the run of a `RunJob` with this seed, and its factors.
+
+    The seed is that of the plant: its noise, roughness and pushes. It is a factor of the cell,
+    too, and a column of the table.
+    """
     cells = []
     for seed in seeds:
         seeded = replace(job, arguments={**job.arguments, 'seed': seed})
@@ -148,7 +162,12 @@ def cells_with_seeds(
 
 
 def is_parameter_name(name: str) -> bool:
-    """Return whether a factor is called like a parameter: a section, a dot, and what follows."""
+    """
+    Return whether a factor is called like a parameter: a section, a dot, and what follows.
+
+    Of such a factor the unit is known, and its value is also shown for the parts that do not vary
+    it.
+    """
     section, dot, _ = name.partition('.')
     return bool(dot) and section in overrides.ARGUMENTS
 

@@ -43,7 +43,12 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class Outcome(NamedTuple):
-    """What a finished job has to say."""
+    """
+    What a finished job has to say, as it comes from a worker, perhaps on another machine.
+
+    Numbers that JSON cannot write are replaced before it is sent, so that a table is the same
+    whether a job was run now or read back.
+    """
 
     key: str  # of the job
     metrics: dict[str, Any]  # what was measured, as JSON values
@@ -60,18 +65,41 @@ class Job(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def setup(self) -> Setup:
-        """Return the setup that is run; ConfigError if it is not acceptable."""
+        """
+        Return the setup that is run, resolved from the files of the machine that asks.
+
+        Raises
+        ------
+        ConfigError
+            If it is not acceptable; planning calls this for every job before any is run.
+
+        """
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; see `outcome_key`."""
+        """
+        Return the hash of all that decides the outcome; see `outcome_key`.
+
+        Under this key the result is kept. A worker compares it with its own: another key there
+        means other code, libraries or files.
+        """
 
     def run(self) -> dict[str, Any]:
-        """Do the work in this process; return what was measured as JSON values."""
+        """
+        Do the work in this process; return what was measured as JSON values.
+
+        A run that goes wrong is a result and not an exception: one that is raised ends the whole
+        study.
+        """
 
 
 @cache
 def hash_code() -> str:
-    """Return a hash over all sources and the versions of the numerical libraries."""
+    """
+    Return a hash over all sources and the versions of the numerical libraries.
+
+    Any change of a source or a library makes every earlier result one of another key, since
+    trajectories are compared bit by bit. Computed once in a process.
+    """
     package = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
     for folder in (package, package.parent / 'sim_bridge'):
@@ -118,7 +146,12 @@ def outcome_key(kind: str, setup: Setup, **content: Any) -> str:
 
 @dataclass(frozen=True)
 class RunJob:
-    """One run of a scenario, in process, of which the usual figures are measured."""
+    """
+    One run of a scenario, in process, of which the usual figures are measured.
+
+    The arguments are kept instead of the setup that they resolve to: they are small, can be
+    written into the result's file, and lead a worker to its own files.
+    """
 
     arguments: Mapping[str, Any]  # of `resolve`
     supervised: bool = False
@@ -126,11 +159,21 @@ class RunJob:
     surface_gone: tuple[float, float] | None = None
 
     def setup(self) -> Setup:
-        """Return everything the run needs; see `Job.setup`."""
+        """
+        Return everything the run needs; see `Job.setup`.
+
+        The arguments name files, presets and overrides as on the command line; they are resolved
+        anew on each call.
+        """
         return resolve(**self.arguments)
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; see `outcome_key`."""
+        """
+        Return the hash of all that decides the outcome; see `outcome_key`.
+
+        Beside the setup these are whether a supervisor is around the law, and when the last
+        surface is away.
+        """
         return outcome_key(
             'run',
             self.setup(),
@@ -139,12 +182,22 @@ class RunJob:
         )
 
     def run(self) -> dict[str, Any]:
-        """Run it and measure it; see `measure_run`."""
+        """
+        Run it and measure it; see `measure_run`.
+
+        An exception of the run is the `error` of its metrics: an unstable corner of a grid ends no
+        study.
+        """
         return measure_run(self.setup(), self.supervised, self.surface_gone)
 
 
 def read_finished(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return what was measured in those jobs that are finished in a study's folder, by key."""
+    """
+    Return what was measured in those jobs that are finished in a study's folder, by key.
+
+    Keys without a file are left out: the caller runs those. The files are written at once or not
+    at all, so that one that is there is whole.
+    """
     finished = {}
     for key in keys:
         path = _cell_file(folder, key)

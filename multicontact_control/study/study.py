@@ -35,7 +35,12 @@ PAGE_FILE, FIGURE_FILE, PRINTED_FIGURE_FILE = 'study.html', 'study.png', 'study.
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What came out of a study: its cells, what was measured in them, and the table of it."""
+    """
+    What came out of a study: its cells, what was measured in them, and the table of it.
+
+    `attrs` of the frame has the names of the factors, their units by dotted name, and the version
+    of the package. Compared by identity, so that `lru_cache` can keep what is derived from one.
+    """
 
     cells: Sequence[Cell]
     frame: pd.DataFrame  # a row for each cell; `attrs` has factors and units
@@ -46,44 +51,91 @@ class Study:
     """
     A study of a file, whose table has a row for each run.
 
-    A kind with code of its own is a subclass in `presets`, which replaces some of these methods.
+    A kind with code of its own is a subclass in `presets`, which replaces some of these methods;
+    `run_study` calls them. The configuration's parts are whole, as `read_study` returns them.
     """
 
     def __init__(self, config: StudyConfig) -> None:
         self.config = config
 
     def plan_cells(self) -> list[Cell]:
-        """Return every cell; ConfigError if one is not acceptable."""
+        """
+        Return every cell of the first round, each with its job and key.
+
+        All are planned before any is run, so that a value which is not acceptable stops the study
+        at once and not after an hour.
+
+        Raises
+        ------
+        ConfigError
+            If a cell is not acceptable; it names part and factors.
+
+        """
         return plan_runs(self.config)
 
     def plan_further_cells(self, results: Results) -> list[Cell]:
-        """Return the cells that follow from the results of the first, none in most studies."""
+        """
+        Return the cells that follow from the results of the first, none in most studies.
+
+        They join the first ones in one table. `TuneStudy` tries the best gains on other seeds with
+        it.
+        """
         return []
 
     def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:
-        """Return the rows of the table that the metrics of a cell make, by column."""
+        """
+        Return the rows of the table that the metrics of a cell make, by column.
+
+        `metrics` is what the cell's job returned. A run makes one row; a job of several faults
+        makes one for each. The factors of the cell are added to every row.
+        """
         return [metrics_row(metrics)]
 
     def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the table with further columns, or in another order."""
+        """
+        Return the table with further columns, or in another order.
+
+        Every study's table has `error`, None in rows without one, and the column
+        `StudyConfig.truth`; a kind whose rows lack them adds them here.
+        """
         return frame
 
     def describe_findings(self, results: Results) -> list[str]:
-        """Return what the numbers show, in sentences that open page and terminal output."""
+        """
+        Return what the numbers show, in sentences that open page and terminal output.
+
+        They are plain text, which the page escapes. The usual ones say in how many runs the
+        study's truth holds, and at which values of its factors.
+        """
         return table.describe_good_runs(results.frame, self.config)
 
     def draw_figure(self, results: Results) -> Figure | None:
-        """Return the figure, None if there is nothing to draw."""
+        """
+        Return the figure, None if there is nothing to draw.
+
+        It is written as PNG for the page and as PDF for print. The usual one has the columns of
+        the table over the first factor.
+        """
         return table.draw_study(results.frame, self.config)
 
     def further_sections(self, results: Results) -> Mapping[str, str]:
-        """Return what stands below the table on the page: HTML by plain heading."""
+        """
+        Return what stands below the table on the page: HTML by plain heading.
+
+        The text is put on the page as it is; a kind escapes what comes from files. The usual study
+        has nothing more to show.
+        """
         return {}
 
     def tabulate(
         self, cells: Sequence[Cell], metrics: Mapping[str, Metrics]
     ) -> Results:
-        """Return cells with what was measured in them, by key, as a table."""
+        """
+        Return cells with what was measured in them, by key, as a table.
+
+        Cells that share a job have rows of their own with the same numbers. A column `key` leads
+        from each row to its file under `cells/`.
+        """
         rows = []
         for cell in cells:
             for row in self.table_rows(metrics[cell.key]):
@@ -99,7 +151,12 @@ class Study:
         return Results(cells, frame, metrics)
 
     def list_warnings(self, results: Results) -> list[str]:
-        """Return which runs ended early and why, and which columns are not in the table."""
+        """
+        Return which runs ended early and why, and which columns are not in the table.
+
+        At most 20 runs are named by their factors and seed, with a count of the others. A column
+        that no run has is most likely misspelt in the study's file.
+        """
         frame = results.frame
         failed = frame[frame['error'].notna()]
         names = dict.fromkeys([*self.config.lines, *frame.attrs['factors'], 'seed'])
@@ -116,7 +173,12 @@ class Study:
         return warnings
 
     def write_files(self, results: Results, folder: Path) -> None:
-        """Write study, table, figure and page into the folder."""
+        """
+        Write study, table, figure and page into the folder.
+
+        The table is written as CSV to read and as Parquet with its types; `study.json` is the
+        configuration as it was run, with all that a user chose.
+        """
         frame = results.frame
         replace_json_file(folder / STUDY_FILE, self.config.model_dump(mode='json'))
         frame.to_csv(folder / CSV_FILE, index=False)
@@ -219,6 +281,7 @@ def run_study(
             return None
 
         def run_cells(chosen: Sequence[Cell]) -> Results:
+            """Run the jobs of cells that are not finished, and return the table of all of them."""
             metrics = run_jobs(
                 {cell.key: cell.job for cell in chosen},
                 folder,

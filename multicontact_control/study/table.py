@@ -48,14 +48,23 @@ NO_GOOD_VALUE = 'none'
 
 
 def numeric_columns(frame: pd.DataFrame, value: str) -> pd.DataFrame:
-    """Return the columns of numbers that a name stands for, with ``*`` for one part of it."""
+    """
+    Return the columns of numbers that a name stands for, with ``*`` for one part of it.
+
+    ``contacts.*.rest.rms`` stands for every contact. Truths count as 1 and 0; columns of text are
+    left out, so the result may be empty.
+    """
     pattern = '[^.*]+'.join(re.escape(part) for part in value.split(EVERY))
     columns = frame.filter(regex=f'^{pattern}$')
     return columns.select_dtypes(['number', 'bool']).astype(float)
 
 
 def largest_of_columns(frame: pd.DataFrame, value: str) -> pd.Series:
-    """Return a column, with ``*`` in its name the largest of all; NaN if there is none."""
+    """
+    Return a column, with ``*`` in its name the largest of all; NaN if there is none.
+
+    The worst contact stands for a run, since errors and times are bad when large; shape (runs,).
+    """
     return numeric_columns(frame, value).max(axis=1)
 
 
@@ -137,7 +146,13 @@ def _equation(frame: pd.DataFrame, study: StudyConfig, factor: str, text: str) -
 
 
 def describe_good_runs(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
-    """Return in how many runs each estimator or law is good, and with which values in all."""
+    """
+    Return in how many runs each estimator or law is good, and with which values in all.
+
+    A run is good if `study.truth` holds. The first varied factor of names is the subject of the
+    sentences; subjects of which the same can be said share one. There are sentences for each
+    plant.
+    """
     varied = [
         name
         for name in frame.attrs['factors']
@@ -199,7 +214,12 @@ def _groups(
 
 
 def format_value(value: Any) -> str:
-    """Return a value as the text of a cell: at least four digits, a dash for no value."""
+    """
+    Return a value as the text of a cell: at least four digits, a dash for no value.
+
+    None and NaN are no values. Large numbers are written out and not with an exponent, so that a
+    column can be compared at a glance.
+    """
     if value is None or value != value:
         return NO_VALUE
     if isinstance(value, float):
@@ -305,14 +325,24 @@ def _head_lines(name: str) -> list[str]:
 
 
 class Series(NamedTuple):
-    """Runs that are one series of points in every panel of a figure."""
+    """
+    Runs that are one series of points in every panel of a figure.
+
+    Its label is what the legend says: values of the factors that tell it from the others. Colour
+    and marker differ together, to be told apart in grey.
+    """
 
     label: str
     runs: pd.DataFrame
     style: Mapping[str, Any]  # of its points
 
     def on_plant(self, plant: str) -> Series:
-        """Return the series with its runs on a plant alone."""
+        """
+        Return the series with its runs on a plant alone.
+
+        A figure has a panel for each plant, and label and colour stay the same in all, so that one
+        legend serves them.
+        """
         return self._replace(runs=self.runs[self.runs['plant'] == plant])
 
 
@@ -364,7 +394,12 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
 def group_series(
     frame: pd.DataFrame, study: StudyConfig, factors: Sequence[str]
 ) -> list[Series]:
-    """Return the runs by values of some factors, each group with its name and look."""
+    """
+    Return the runs by values of some factors, each group with its name and look.
+
+    The order is that in which the groups first come in the table. After seven series colours and
+    markers come again. Without factors there is one series of all runs.
+    """
     series = []
     for number, (values, runs) in enumerate(_groups(frame, factors)):
         words = []

@@ -23,7 +23,7 @@ from multicontact_control.nodes.messages import (
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.view import source
 from multicontact_control.view.motion import CommandedMotion
-from multicontact_control.view.streams import Stream
+from multicontact_control.view.streams import EffortStream
 import numpy as np
 from rcl_interfaces.srv import ListParameters
 from sim_bridge.config import PUSH_TIME
@@ -106,7 +106,7 @@ class GraphSource:
         )
         self._streams = self._make_streams()
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
-        self._last_push: tuple[float, source.Push | None] = (
+        self._last_push: tuple[float, source.DrawnPush | None] = (
             0.0,
             None,
         )  # and until when it lasts
@@ -116,8 +116,8 @@ class GraphSource:
         }
         self._motion, self._motion_identifier = CommandedMotion(config.limits), ''
         self._delay = 0.0  # of a motion, that is still to be made up for [s]
-        self._changes = source.ChangeReader(config.contact_names)
-        self._timing = source.Timing()
+        self._changes = source.EventDescriber(config.contact_names)
+        self._timing = source.LoopTiming()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
         self._parts: dict[
@@ -145,24 +145,26 @@ class GraphSource:
             raise
         self._gains = gains
         true_forces = self._streams[topics.TRUE_FORCES]
-        true_forces.look()
+        true_forces.take_messages()
         self.scene = source.Scene(
             title,
             config,
             setup.urdf_dir,
-            surfaces or source.felt_surfaces(config),
+            surfaces or source.list_felt_surfaces(config),
             simulated=dict(self._surfaces),
             largest_force=ceiling,
             true_forces=bool(np.isfinite(true_forces.newest).any()),
         )
 
-    def _make_streams(self) -> dict[topics.Topic, Stream]:
+    def _make_streams(self) -> dict[topics.Topic, EffortStream]:
         node, config = self._link.node, self._config
         limit = np.array(
             config.torque_limit or [np.inf] * len(config.robot.joint_names)
         )
-        streams = {topic: Stream(node, topic, config.column_names) for topic in DRAWN}
-        streams[topics.EFFORT_COMMAND] = Stream(
+        streams = {
+            topic: EffortStream(node, topic, config.column_names) for topic in DRAWN
+        }
+        streams[topics.EFFORT_COMMAND] = EffortStream(
             node,
             topics.EFFORT_COMMAND,
             config.robot.joint_names,
@@ -189,7 +191,7 @@ class GraphSource:
 
     def _find_surfaces(
         self,
-    ) -> tuple[tuple[source.Surface, ...], dict[str, source.SurfaceState]]:
+    ) -> tuple[tuple[source.DrawnSurface, ...], dict[str, source.SurfaceState]]:
         """Return what a simulator has to be touched, and can change; nothing without one."""
         give_up = time.monotonic() + SIMULATOR_WAIT
         while (message := self._link.get_newest(topics.SURFACE_MARKERS)) is None:
@@ -214,12 +216,12 @@ class GraphSource:
                 states[whole] = source.SurfaceState(stiffness, friction)
         return drawn, states
 
-    def poll(self) -> list[source.Snapshot]:
+    def take_snapshots(self) -> list[source.Snapshot]:
         """Return a snapshot if it is time for one; RunError if the graph has ended."""
         self._check()
         now, before = time.monotonic(), self._stamp
         for stream in self._streams.values():
-            stream.look()
+            stream.take_messages()
         message = self._link.get_newest(topics.MEASURED_FORCES)
         if message is not None:
             self._stamp = messages.stamp_to_ns(message.header.stamp)
@@ -257,7 +259,9 @@ class GraphSource:
     def _add_points(self) -> None:
         """Add two points to the curves: the least and the greatest since the last ones."""
         middle = 0.5 * (self._drawn_until + self._time)
-        least, greatest = zip(*(stream.extremes() for stream in self._streams.values()))
+        least, greatest = zip(
+            *(stream.take_extremes() for stream in self._streams.values())
+        )
         self._points += [
             np.concatenate([[middle], *least]),
             np.concatenate([[self._time], *greatest]),
@@ -296,7 +300,7 @@ class GraphSource:
             texts.append('pose and forces held' if status.held else 'hold released')
         if status.contacts:
             texts.append(
-                self._changes.read(
+                self._changes.describe_changes(
                     SupervisorEvent(
                         now,
                         status.reaction,
@@ -333,7 +337,7 @@ class GraphSource:
                         if each.key in SHOWN
                     }
                     typical, worst, misses = (values[key] for key in SHOWN)
-                    self._timing = source.Timing(
+                    self._timing = source.LoopTiming(
                         typical, worst, self._timing.misses + int(misses), pace
                     )
 
@@ -352,7 +356,7 @@ class GraphSource:
         """Take the pushes that are asked for, from here or elsewhere, for as long as they last."""
         for message in self._link.take_queued(topics.PUSH):
             force, where = message.vector, message.header.frame_id
-            push = source.Push(
+            push = source.DrawnPush(
                 (force.x, force.y, force.z), self._pushed.get(where, self._pushed[''])
             )
             self._last_push = self._time + PUSH_TIME, push
@@ -397,7 +401,7 @@ class GraphSource:
             if status is None
             else status.reaction,
             reasons=() if status is None else tuple(status.causes.split()),
-            points=np.array(points).reshape(-1, source.point_width(config)),
+            points=np.array(points).reshape(-1, source.count_point_columns(config)),
             # Forces that are obeyed: commanded ones, or those of a scenario.
             commanded=(status and dict(status.forces))
             or {
@@ -420,8 +424,8 @@ class GraphSource:
             else {_name_of(marker): _place_of(marker) for marker in markers.markers},
         )
 
-    def command(self, name: str, /, **values: Any) -> str:
-        """Give a command, and return what comes of it; see `Source.command`."""
+    def give_command(self, name: str, /, **values: Any) -> str:
+        """Give a command, and return what comes of it; see `SnapshotSource.give_command`."""
         try:
             return self._command(name, **values)
         except MulticontactError as error:
@@ -526,10 +530,10 @@ def _place_of(marker: Marker) -> Vector3:
     return place.x, place.y, place.z
 
 
-def _surface_of(marker: Marker) -> source.Surface:
+def _surface_of(marker: Marker) -> source.DrawnSurface:
     """Return a surface as a simulator has it drawn: corners of triangles."""
     corners = np.array([(point.x, point.y, point.z) for point in marker.points])
-    return source.Surface(
+    return source.DrawnSurface(
         _name_of(marker),
         (0.0, 0.0, -1.0),
         _place_of(marker),

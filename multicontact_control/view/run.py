@@ -1,4 +1,4 @@
-"""From what is to be shown to a page that shows it, until it is ended."""
+"""The life of a page: find or start what it shows, serve it, end what was started."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.judging.run_folders import CONFIG_FOLDER
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import Setup
-from multicontact_control.view.source import Source
+from multicontact_control.view.source import SnapshotSource
 
 
 def run_view(
@@ -27,13 +27,38 @@ def run_view(
     open_browser: bool = False,
 ) -> str:
     """
-    Show a graph or a recording on a page until a signal comes; MulticontactError if it cannot be.
+    Show a graph or a recording on a page until a signal comes, e.g. by Ctrl-C.
 
-    It replays a `recording`, the folder of a run or bag; or joins the graph that runs; or starts
-    one of `setup`, and ends it. Otherwise `setup` is what is known of graph or recording.
-    `namespace` and `domain_id` are where the graph is, or is to be; `tell` is called with lines
-    for the user. The page listens on `port`, or the next one that is free. Returns why there was
-    nothing more to see, empty if the user has ended it.
+    Without a recording or a graph that runs, it starts a simulated graph of `setup`, and ends it
+    with the page.
+
+    Parameters
+    ----------
+    setup
+        The arm, its contacts and its plant; of a recording or a graph, what is known of them.
+    tell
+        Called with each line for the user.
+    recording
+        Folder of a run or bag that is replayed.
+    graph
+        Whether the page joins a graph that runs.
+    namespace, domain_id
+        Where the graph runs, or is started.
+    port
+        TCP port of the page on this machine; the next one that is free if it is taken.
+    open_browser
+        Whether the page is opened in the browser of the user.
+
+    Returns
+    -------
+    str
+        Why the graph has ended by itself; empty if the user has ended the page.
+
+    Raises
+    ------
+    MulticontactError
+        If viser is missing, or if graph or recording cannot be shown.
+
     """
     if graph and recording is not None:
         raise ConfigError('--graph', hint='leave it out with a recording')
@@ -53,7 +78,7 @@ def run_view(
         collected_signals() as signals,
         ExitStack() as stack,
     ):
-        shown: Source
+        shown: SnapshotSource
         if recording is not None:
             from multicontact_control.view.replay import load_replay
 
@@ -63,7 +88,9 @@ def run_view(
 
             shown = GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
         else:
-            shown = started(setup, namespace, domain_id, stack, signals, tell)
+            shown = start_simulated_graph(
+                setup, namespace, domain_id, stack, signals, tell
+            )
         stack.callback(shown.close)
         page = Page(shown, port)
         stack.callback(page.close)
@@ -71,20 +98,43 @@ def run_view(
         tell('only this machine can reach it')
         if open_browser:
             webbrowser.open(page.url)
-        page.run(lambda: bool(signals))
+        page.run_until(lambda: bool(signals))
         return page.ended
     return ''
 
 
-def started(
+def start_simulated_graph(
     setup: Setup,
     namespace: str | None,
     domain_id: int | None,
     stack: ExitStack,
     signals: Sequence[int],
     tell: Callable[[str], object],
-) -> Source:
-    """Start a graph that obeys commands, without a recorder, and return what joins it."""
+) -> SnapshotSource:
+    """
+    Start a simulated graph that obeys commands and records nothing; return a source that joins it.
+
+    Parameters
+    ----------
+    setup
+        The arm, its controller and its plant, whose parameter files the nodes read.
+    namespace, domain_id
+        Where the graph runs; without a domain, the first one that is free on this machine.
+    stack
+        Ends the nodes and removes their folder when it is closed.
+    signals
+        Signals that have come so far; one of them ends the wait for the nodes.
+    tell
+        Called with each line for the user.
+
+    Raises
+    ------
+    MulticontactError
+        If the nodes do not come up.
+    InterruptedRunError
+        If a signal comes before they are up.
+
+    """
     from multicontact_control.judging.judged_run import simulation_parameters
     from multicontact_control.runs.graph.domain import check_namespace
     from multicontact_control.runs.graph.run import (
@@ -94,7 +144,7 @@ def started(
     from multicontact_control.runs.graph.spec import GraphSpec
     from multicontact_control.view.graph import GraphSource
 
-    def keep_waiting(_: str) -> None:
+    def stop_waiting_on_signal(_: str) -> None:
         if signals:
             raise InterruptedRunError
 
@@ -102,22 +152,18 @@ def started(
     ensure_compiled()
     tell('starting the nodes')
     folder = Path(stack.enter_context(TemporaryDirectory(prefix='multicontact-view-')))
-    graph = stack.enter_context(
-        running_graph(
-            GraphSpec(
-                out=folder,
-                ticks=0,
-                rate=setup.controller.rate,
-                seed=setup.seed,
-                recorded=False,
-                domain_id=domain_id,
-                namespace=namespace,
-                parameter_files=setup.write(folder / CONFIG_FOLDER),
-                extra_parameters=simulation_parameters(setup),
-            ),
-            keep_waiting,
-        )
+    spec = GraphSpec(
+        out=folder,
+        ticks=0,
+        rate=setup.controller.rate,
+        seed=setup.seed,
+        recorded=False,
+        domain_id=domain_id,
+        namespace=namespace,
+        parameter_files=setup.write(folder / CONFIG_FOLDER),
+        extra_parameters=simulation_parameters(setup),
     )
+    graph = stack.enter_context(running_graph(spec, stop_waiting_on_signal))
     return GraphSource(
         setup,
         f'{setup.plant_name}, simulated in ROS domain {graph.domain_id}',

@@ -13,7 +13,7 @@ from multicontact_control.view.shapes import (
     TOOL,
     viser_quaternion,
 )
-from multicontact_control.view.source import Push, Scene, Snapshot, Surface
+from multicontact_control.view.source import DrawnPush, DrawnSurface, Scene, Snapshot
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.arm import TOOL_LINK
@@ -125,7 +125,7 @@ class SceneView:
             for link, shape in self._shapes.items()
         }
 
-    def _draw_surface(self, surface: Surface) -> None:
+    def _draw_surface(self, surface: DrawnSurface) -> None:
         if surface.point_world is None:
             return
         patch = surface.patch or shape_surface_patch(np.array(surface.normal_world))
@@ -195,7 +195,7 @@ class SceneView:
         )
         self._push_label = api.add_label('/push/force', '', anchor='bottom-center')
 
-    def add_handle(self, on_drag: Callable[[Vector], None]) -> Any:
+    def add_drag_handle(self, on_drag: Callable[[Vector], None]) -> Any:
         """Return a hidden handle of the operational point; `on_drag` takes where it goes [m]."""
         self._handle = self._api.add_transform_controls(
             '/handle',
@@ -220,7 +220,7 @@ class SceneView:
         if client.client_id == self._dragged_by:
             self._dragged_by = None
 
-    def show(self, snapshot: Snapshot, *, labels: bool = True) -> None:
+    def draw_snapshot(self, snapshot: Snapshot, *, labels: bool = True) -> None:
         """Draw a snapshot; the labels only now and then."""
         if np.isfinite(snapshot.q).all():
             for link, pose in zip(
@@ -282,14 +282,13 @@ class SceneView:
                 continue
             force = float(snapshot.measured[self._leaders[i]])
             label = self._labels[i]
-            label.text = (
-                f'{self._scene.config.contact_names[i]}  {newtons(force)} N  {state}'
-            )
+            name = self._scene.config.contact_names[i]
+            label.text = f'{name}  {format_newtons(force)} N  {state}'
             label.position = (
                 point + 0.03 * normal + 2.0 * BESIDE * _sideways(point, normal)
             )
 
-    def _show_push(self, q: Vector, push: Push | None) -> None:
+    def _show_push(self, q: Vector, push: DrawnPush | None) -> None:
         force = np.array(push.force_world if push else (0.0,) * 3)
         size = float(np.linalg.norm(force))
         shown = 0.0 < size < np.inf
@@ -327,7 +326,7 @@ class SceneView:
                 patch.position = np.array(place)
 
 
-def newtons(force: float) -> str:
+def format_newtons(force: float) -> str:
     """Return a force as it is read."""
     text = f'{force:.1f}' if np.isfinite(force) else '-'
     return '0.0' if text == '-0.0' else text

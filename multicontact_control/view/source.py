@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+import math
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
-from multicontact_control.judging.supervisor_events import SupervisorEvent
+from multicontact_control.judging.supervisor_events import LogLine, SupervisorEvent
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from sim_bridge.surface_patch import Patch, shape_configured_patch
@@ -18,10 +19,11 @@ RATE = 25.0  # Hz, of snapshots
 BLOCKS = 2  # of samples in each of them, that are drawn by their extremes
 POINTS = 2 * BLOCKS  # of the curves in each of them
 
-# Commands, each with the values it takes: of a graph, of one that is simulated, of a recording.
-FORCES = 'forces'  # of contacts, by name [N]
+# Commands, each with the values it takes. Those up to `GAINS` are for a graph, `SURFACE` and
+# `PUSH` for a simulated one, the last three for a recording.
+FORCES = 'forces'  # force of each contact and couple by name [N]
 GO_TO = 'go_to'  # position: of the operational point [m]
-JOG = 'jog'  # offset: from where it is to go by now [m]
+JOG = 'jog'  # offset: from the goal of the motion under way [m]
 PATTERN = 'pattern'  # axis, amplitude [m], period [s]
 STOP = 'stop'
 HOLD = 'hold'  # on
@@ -44,189 +46,347 @@ GAIN_NAMES = (  # [rad/s], [s], [1/s]
 KINDS = 6  # of curves for each force or couple, see `Snapshot.points`
 
 
-class Surface(NamedTuple):
-    """A surface to draw."""
+class DrawnSurface(NamedTuple):
+    """
+    A surface as the page draws it.
 
-    name: str  # of its contact, or of the surface itself
-    normal_world: Vector3  # into it
-    point_world: Vector3 | None  # on it [m]; None until something is felt there
-    patch: Patch | None = None  # what it looks like around that point; None for a plane
+    Attributes
+    ----------
+    name
+        Name of the contact that touches the surface, or of the obstacle.
+    normal_world
+        Unit normal in world axes, into the surface.
+    point_world
+        Point on the surface in world axes [m]; None until a contact force shows where it is.
+    patch
+        Triangles around that point; None draws a plane.
+
+    """
+
+    name: str
+    normal_world: Vector3
+    point_world: Vector3 | None
+    patch: Patch | None = None
 
 
 class SurfaceState(NamedTuple):
-    """Stiffness [N/m] and friction of a simulated surface."""
+    """
+    The properties of a simulated surface that the page changes while the simulator runs.
+
+    Attributes
+    ----------
+    stiffness
+        Normal stiffness [N/m].
+    friction
+        Coefficient of Coulomb friction.
+
+    """
 
     stiffness: float
     friction: float
 
 
-class Push(NamedTuple):
-    """A force that pushes the arm."""
+class DrawnPush(NamedTuple):
+    """
+    A force from outside that disturbs a simulated arm, as the page draws it.
 
-    force_world: Vector3  # [N]
-    link: str  # URDF link at whose origin it acts
+    Attributes
+    ----------
+    force_world
+        Force on the arm in world axes [N].
+    link
+        Name of the URDF link at whose origin the force acts.
+
+    """
+
+    force_world: Vector3
+    link: str
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What does not change while it is shown."""
+    """
+    What stays the same while the page shows one graph or one recording.
+
+    Attributes
+    ----------
+    title
+        What is shown, in a few words.
+    config
+        Configuration of the controller, its arm and its contacts.
+    urdf_dir
+        Folder that the path of the arm's URDF is relative to.
+    surfaces
+        Surfaces to draw: one for each contact, in the order of the contacts, then obstacles.
+    simulated
+        State of each surface at the start, by name; empty without a simulator.
+    largest_force
+        Largest contact force that the controller accepts [N].
+    true_forces
+        Whether the true contact forces are known, which only a simulator publishes.
+    duration
+        Length of a recording [s]; None for a graph that runs.
+    marks
+        Moments of a recording to jump to: time [s] and a short text.
+
+    """
 
     title: str
     config: ControllerConfig
-    urdf_dir: Path  # that its URDF is relative to
-    surfaces: tuple[Surface, ...]  # those of the contacts first
-    # Surfaces at the start, by name; none without a simulator.
+    urdf_dir: Path
+    surfaces: tuple[DrawnSurface, ...]
     simulated: Mapping[str, SurfaceState] = field(default_factory=dict)
-    largest_force: float = 30.0  # that may be commanded [N]
-    true_forces: bool = False  # whether they are known, as a simulator knows them
-    duration: float | None = None  # of a recording [s]; None of a graph
-    marks: tuple[
-        tuple[float, str], ...
-    ] = ()  # times in it to jump to [s], and what is there
+    largest_force: float = 30.0
+    true_forces: bool = False
+    duration: float | None = None
+    marks: tuple[LogLine, ...] = ()
 
 
-class Timing(NamedTuple):
-    """How regular the control loop is."""
+class LoopTiming(NamedTuple):
+    """
+    How regularly the control loop runs.
 
-    typical: float = float(
-        'nan'
-    )  # latency from a sample to its command in the last second,
-    worst: float = float(
-        'nan'
-    )  # 50th and 99th percentile [us]; NaN where it is not known
-    misses: int = 0  # samples without a command since the start
-    pace: float = 1.0  # real-time factor of the last seconds
+    Attributes
+    ----------
+    typical, worst
+        Latency from a sample to its torque command in the last second, 50th and 99th
+        percentile [us]; NaN where it is not known.
+    misses
+        Number of samples that got no command in time since the start.
+    pace
+        Real-time factor: time of the samples over time of the clock in the last seconds.
+
+    """
+
+    typical: float = math.nan
+    worst: float = math.nan
+    misses: int = 0
+    pace: float = 1.0
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What there is to show of one moment."""
+    """
+    The state of arm, contacts and controller at one moment; n joints, r forces, nc contacts.
 
-    time: float  # of the sample [s]
-    q: Vector  # joint positions, shape (n,) [rad]
-    position: Vector  # of the operational frame, world axes [m]
-    quaternion: Vector  # likewise, scalar last
-    position_des: Vector  # where it should be [m]
-    measured: Vector  # forces and couples, shape (r,) [N]
+    Attributes
+    ----------
+    time
+        Time of the newest sample [s].
+    q
+        Joint positions, shape (n,) [rad].
+    position, quaternion
+        Pose of the operational frame in world axes: shape (3,) [m]; scalar last, shape (4,).
+    position_des
+        Desired position of the operational point in world axes, shape (3,) [m].
+    measured, estimated, desired, true
+        Contact forces and couples, shape (r,) [N]; true forces are NaN where they are not known.
+    normals_world
+        Contact normals as the controller has them now, world axes, shape (nc, 3).
+    states
+        State of each contact in words.
+    reaction
+        What the supervisor does instead of the control law.
+    points
+        Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s]; measured,
+        estimated, desired and true forces [N], R [N^2], innovation [N]; torque magnitudes over
+        their limits. Two points hold the least and the greatest values of a block of samples.
+    commanded
+        Commanded force of each contact and couple by name [N].
+    goal
+        Where a motion on command leads, world axes [m]; None without one.
+    reasons
+        Causes of the reaction, and limits that act.
+    events
+        What has happened since the snapshot before: time [s] and text.
+    timing
+        How regularly the loop runs.
+    held
+        Whether a command holds pose and forces.
+    moving
+        Name of the motion under way; empty at rest.
+    push_test
+        What the push test asks the user to do now; empty without a test.
+    gains
+        Gain values by the names in `GAIN_NAMES`.
+    surfaces
+        State of each simulated surface by name.
+    places_world
+        Point on each surface by name, world axes [m].
+    push
+        Push under way, None without one.
+    playing
+        Whether time goes on; False in a recording that is paused.
+    anew
+        Whether this snapshot begins a new stretch of time: its curves and events replace those
+        of the snapshots before.
+
+    """
+
+    time: float
+    q: Vector
+    position: Vector
+    quaternion: Vector
+    position_des: Vector
+    measured: Vector
     estimated: Vector
     desired: Vector
-    true: Vector  # NaN where they are not known
-    normals_world: Matrix  # of the contacts now, shape (nc, 3)
-    states: tuple[str, ...]  # of the contacts
-    reaction: str  # what the supervisor does instead of control
-    # Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s]; measured, estimated,
-    # desired and true forces [N], R [N^2], innovation [N]; sizes of torques over their limits. Two
-    # points are the least and the greatest values of a block of samples.
+    true: Vector
+    normals_world: Matrix
+    states: tuple[str, ...]
+    reaction: str
     points: Matrix
-    commanded: Mapping[str, float] = field(default_factory=dict)  # forces, by name [N]
-    goal: Vector | None = None  # where a command leads it [m]
-    reasons: tuple[str, ...] = ()  # causes of the reaction, and the limits that act
-    events: tuple[
-        tuple[float, str], ...
-    ] = ()  # since the snapshot before: time [s], and words
-    timing: Timing = Timing()
-    held: bool = False  # whether pose and forces are held on command
-    moving: str = ''  # motion under way
-    push_test: str = ''  # what the user should do now
-    gains: Mapping[str, float] = field(default_factory=dict)  # of `GAIN_NAMES`
-    surfaces: Mapping[str, SurfaceState] = field(
-        default_factory=dict
-    )  # simulated ones, by name
-    places_world: Mapping[str, Vector3] = field(
-        default_factory=dict
-    )  # points of surfaces [m]
-    push: Push | None = None  # under way
-    playing: bool = True  # whether time goes on
-    anew: bool = (
-        False  # whether curves and events of before are over: its own take their place
-    )
+    commanded: Mapping[str, float] = field(default_factory=dict)
+    goal: Vector | None = None
+    reasons: tuple[str, ...] = ()
+    events: tuple[LogLine, ...] = ()
+    timing: LoopTiming = LoopTiming()
+    held: bool = False
+    moving: str = ''
+    push_test: str = ''
+    gains: Mapping[str, float] = field(default_factory=dict)
+    surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)
+    places_world: Mapping[str, Vector3] = field(default_factory=dict)
+    push: DrawnPush | None = None
+    playing: bool = True
+    anew: bool = False
 
 
-class Source(Protocol):
+class SnapshotSource(Protocol):
     """
-    Where snapshots come from and commands go to; all calls come from one thread.
+    Where the page takes snapshots from and gives commands to.
+
+    A running graph and a recording both are such a source, so that the page draws them alike.
+    All calls come from one thread.
 
     Attributes
     ----------
     scene
-        What does not change, and which commands there are.
+        What stays the same, and which commands the source takes.
 
     """
 
     scene: Scene
 
-    def poll(self) -> list[Snapshot]:
+    def take_snapshots(self) -> list[Snapshot]:
         """
-        Return the snapshots that are due, without waiting for any; called about every 10 ms.
+        Return the snapshots that are due, without waiting for one.
+
+        The page calls this about every 10 ms and draws the last of them.
 
         Raises
         ------
         RunError
-            If there will be no more: what they come from has ended.
+            If what the snapshots come from has ended, so that none follows.
 
         """
 
-    def command(self, name: str, /, **values: Any) -> str:
+    def give_command(self, name: str, /, **values: Any) -> str:
         """
-        Give a command; MulticontactError if it is refused.
+        Give a command to the controller, the simulator or the replay.
 
-        Returns what comes of it, nothing where snapshots show that.
+        Parameters
+        ----------
+        name
+            One of the commands at the head of this module.
+        values
+            The values that the command takes, listed there with their units.
+
+        Returns
+        -------
+        str
+            What the command leads to, for the user; empty where the snapshots show it.
+
+        Raises
+        ------
+        MulticontactError
+            If the command is refused.
+
         """
 
     def close(self) -> None:
-        """Leave what is shown."""
+        """Leave the graph or the recording; a graph that was started elsewhere goes on."""
 
 
-class ChangeReader:
-    """Puts into words what has changed from one event of the supervisor to the next."""
+class EventDescriber:
+    """
+    Describes in words what each event of the supervisor changes.
+
+    The supervisor logs its whole status at each event; the page lists only the differences
+    between one event and the next, starting from contacts that are free.
+
+    Parameters
+    ----------
+    contact_names
+        Names of the contacts, in the order of the states in an event.
+
+    """
 
     def __init__(self, contact_names: Sequence[str]) -> None:
         self._names = tuple(contact_names)
         self._before = SupervisorEvent(0.0, NONE, (), (), ('free',) * len(self._names))
 
-    def read(self, event: SupervisorEvent) -> str:
-        """Return what has changed, nothing if that is nothing."""
-        before, self._before = self._before, event
+    def describe_changes(self, event: SupervisorEvent) -> str:
+        """
+        Return what an event changes: reaction and causes, contact states, new limits.
+
+        The parts are joined by commas; the text is empty if the event changes none of them. The
+        next call compares with this event.
+        """
+        before = self._before
+        self._before = event
         parts = []
         if event.reaction != before.reaction:
-            causes = f' ({" ".join(event.causes)})' if event.causes else ''
-            parts.append(
-                event.reaction + causes if event.reaction != NONE else 'control again'
-            )
-        parts += [
-            f'{name} {state}'
-            for name, state, last in zip(
-                self._names, event.contact_states, before.contact_states
-            )
-            if state != last
-        ]
-        if limits := [limit for limit in event.limits if limit not in before.limits]:
-            parts.append(f'limit: {" ".join(limits)}')
+            if event.reaction == NONE:
+                parts.append('control again')
+            elif event.causes:
+                parts.append(f'{event.reaction} ({" ".join(event.causes)})')
+            else:
+                parts.append(event.reaction)
+        contacts = zip(self._names, before.contact_states, event.contact_states)
+        for name, old_state, state in contacts:
+            if state != old_state:
+                parts.append(f'{name} {state}')
+        new_limits = [limit for limit in event.limits if limit not in before.limits]
+        if new_limits:
+            parts.append(f'limit: {" ".join(new_limits)}')
         return ', '.join(parts)
 
 
-def point_width(config: ControllerConfig) -> int:
-    """Return the number of columns of `Snapshot.points`."""
+def count_point_columns(config: ControllerConfig) -> int:
+    """Return the number of columns of `Snapshot.points`: time, forces of all kinds, torques."""
     return 1 + KINDS * len(config.columns) + len(config.robot.joint_names)
 
 
-def felt_surfaces(config: ControllerConfig) -> tuple[Surface, ...]:
-    """Return a surface for each contact, of which the place is not known."""
+def list_felt_surfaces(config: ControllerConfig) -> tuple[DrawnSurface, ...]:
+    """
+    Return a surface for each contact of an arm whose surroundings are not known.
+
+    Each has the configured contact normal and no place: the page draws it where a contact force
+    shows that it is there.
+    """
     return tuple(
-        Surface(name, config.contacts[name].normal_world, None)
+        DrawnSurface(name, config.contacts[name].normal_world, None)
         for name in config.contact_names
     )
 
 
-def surfaces_of(setup: Setup) -> tuple[Surface, ...]:
-    """Return the surfaces of a simulated plant, one for each contact and obstacle."""
-    known = setup.plant.surfaces
-    return tuple(
-        Surface(
-            name,
-            known[one].normal_world,
-            known[one].point_world,
-            shape_configured_patch(known[one]),
+def list_simulated_surfaces(setup: Setup) -> tuple[DrawnSurface, ...]:
+    """
+    Return the surfaces of a simulated plant, one for each contact and each obstacle.
+
+    Their places and patches are those at the start; a surface that moves has its place in
+    `Snapshot.places_world`.
+    """
+    surfaces = []
+    for name, surface_name in setup.plant.drawn.items():
+        surface = setup.plant.surfaces[surface_name]
+        surfaces.append(
+            DrawnSurface(
+                name,
+                surface.normal_world,
+                surface.point_world,
+                shape_configured_patch(surface),
+            )
         )
-        for name, one in setup.plant.drawn.items()
-    )
+    return tuple(surfaces)

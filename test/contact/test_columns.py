@@ -98,6 +98,30 @@ def test_measured_forces_are_generalised_least_squares():
     )
 
 
+def test_force_that_is_untared_is_taken_off():
+    records = columns([FORCE, ALONG])
+    records['untared'] = 3.0, 0.5
+    assert measure_contacts(control(10.0 * point_column(POINT)), records, SPACE)
+    np.testing.assert_allclose(records['alpha_meas'], [7.0, -0.5], atol=1e-12)
+
+
+def test_expected_friction_of_a_slide_is_taken_for_no_couple():
+    """mu alpha v / sqrt(v^2 + v_s^2) along the sliding of the point, v_s = 0.01 m/s."""
+    records = columns([FORCE, ALONG])
+    records['config']['friction_coefficient'] = 0.4, 0.0
+    twist = np.array([0.02, 0.01, -0.03, 0.1, -0.2, 0.15])
+    velocity = twist[:3] + np.cross(twist[3:], POINT)
+    sliding = velocity - (velocity @ NORMAL) * NORMAL
+    friction = 0.4 * 10.0 * sliding / np.sqrt(sliding @ sliding + 0.01**2)
+    wrench = 10.0 * point_column(POINT)
+    wrench += np.concatenate([friction, np.cross(POINT, friction)])
+    reading = control(wrench, separated=True)
+    reading['frame']['twist'] = twist
+    assert measure_contacts(reading, records, SPACE)
+    np.testing.assert_allclose(records['alpha_meas'], [10.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(records['friction'][0], friction, atol=1e-9)
+
+
 def test_contacts_that_cannot_be_told_apart_keep_what_was_measured():
     """All or nothing: no friction of this sample beside forces of another."""
     records = columns([FORCE, FORCE], friction=0.3)

@@ -1,5 +1,7 @@
 """Scenario and commanded tasks: times, derivatives, refusals."""
 
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.config import LimitsConfig
 from multicontact_control.control.tasks import (
     ApproachConfig,
     CommandedTask,
@@ -8,6 +10,7 @@ from multicontact_control.control.tasks import (
     MotionReading,
     ReferenceConfig,
     ScenarioTask,
+    shortest_motion_duration,
     SineConfig,
 )
 from multicontact_control.dynamics.rotations import Pose
@@ -139,3 +142,134 @@ def test_parts_of_a_scenario_are_the_same_objects_while_they_do_not_change():
     assert at_rest.pose_des.position_world is later.pose_des.position_world
     assert moving.pose_des.rotation_world is later.pose_des.rotation_world
     assert moving.pose_des.position_world is not later.pose_des.position_world
+
+
+def commanded_task(names=('table', 'board'), leading_columns=(0, 1)):
+    """Return a commanded task that has begun at `POSE`."""
+    source = CommandedTask(names, leading_columns)
+    source.start(POSE, NORMALS)
+    return source
+
+
+def test_commanded_motion_has_no_effect_along_taken_normals():
+    """Of two oblique contacts: only what is across both of their normals is left."""
+    source = commanded_task()
+    oblique = np.array([[0.0, 0.0, -1.0], [0.0, 0.6, -0.8]])
+    change = np.array([0.01, 0.02, 0.03])
+    motion = MotionReading(
+        POSE.position_world + change,
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]),
+        np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+    )
+    source.set_motion(motion, oblique)
+    task = source.task_at(0.0)
+    np.testing.assert_allclose(
+        task.pose_des.position_world, POSE.position_world + [0.01, 0.0, 0.0], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        task.twist_des, [0.1, 0.0, 0.0, 0.4, 0.5, 0.6], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        task.acceleration_des, [1.0, 0.0, 0.0, 4.0, 5.0, 6.0], atol=1e-12
+    )
+
+
+def test_new_start_forgets_commands():
+    source = commanded_task()
+    source.set_forces({'table': 5.0})
+    source.start(POSE, NORMALS)
+    task = source.task_at(0.0)
+    assert not task.active.any()
+    assert not task.alpha_des.any()
+
+
+EDGE = ('edge', 'edge_couple', 'board')
+EDGE_COLUMNS = (0, 0, 2)
+
+
+def test_couple_acts_while_its_contact_does_whatever_its_sign():
+    source = commanded_task(EDGE, EDGE_COLUMNS)
+    source.set_forces({'edge': 10.0, 'edge_couple': -2.0})
+    assert source.task_at(0.0).active.tolist() == [True, True, False]
+    source.set_forces({'edge': 0.0})
+    assert source.task_at(0.1).active.tolist() == [False, False, False]
+
+
+def test_share_of_a_couple_follows_the_force_of_its_contact_until_it_is_commanded():
+    source = commanded_task(EDGE, EDGE_COLUMNS)
+    source.set_forces({'edge': 10.0, 'board': 4.0}, {'edge_couple': 0.2})
+    assert source.forces == {'edge': 10.0, 'edge_couple': 2.0, 'board': 4.0}
+    source.set_forces({'edge': 20.0})
+    assert source.forces['edge_couple'] == 4.0
+    assert source.shares == {'edge_couple': 0.2}
+    source.set_forces({'edge_couple': 1.0})
+    source.set_forces({'edge': 30.0})
+    assert source.forces['edge_couple'] == 1.0
+    assert source.shares == {}
+
+
+def test_command_is_new_if_one_force_is():
+    source = commanded_task()
+    assert source.set_forces({'table': 5.0, 'board': 6.0})
+    assert not source.set_forces({'table': 5.0, 'board': 6.0})
+    assert source.set_forces({'table': 5.0, 'board': 7.0})
+
+
+def test_preload_of_a_scenario_is_of_forces_alone():
+    source = ScenarioTask(
+        ReferenceConfig(approach=ApproachConfig(start_time=0.0, preload=3.0)),
+        rate=RATE,
+        names=EDGE,
+        leading_columns=EDGE_COLUMNS,
+    )
+    source.start(POSE, NORMALS)
+    task = source.task_at(1.0)
+    assert task.alpha_des.tolist() == [3.0, 0.0, 3.0]
+    assert task.active.all()
+
+
+def test_approach_accelerates_as_its_twist_changes():
+    source = _scenario(approach=ApproachConfig(start_time=0.2))
+    tasks = _run(source, 1.0, lambda _: np.zeros(2))
+    twist = np.array([task.twist_des for task in tasks])
+    acceleration = np.array([task.acceleration_des for task in tasks])
+    ramp = slice(int(0.3 * RATE), int(0.6 * RATE))
+    np.testing.assert_allclose(
+        acceleration[ramp], np.gradient(twist, 1.0 / RATE, axis=0)[ramp], atol=1e-9
+    )
+    assert acceleration[ramp].any()
+
+
+@pytest.mark.parametrize(
+    'limit',
+    [
+        'operational_speed',
+        'operational_acceleration',
+        'operational_turn',
+        'operational_turn_acceleration',
+    ],
+)
+def test_shortest_motion_reaches_the_limit_that_is_tightest(limit):
+    """Speed and acceleration of a quintic over the way, by differences."""
+    values = dict.fromkeys(
+        (
+            'operational_speed',
+            'operational_acceleration',
+            'operational_turn',
+            'operational_turn_acceleration',
+        ),
+        100.0,
+    )
+    values[limit] = 0.3
+    change = np.array([0.3, 0.0, 0.4, 0.0, 1.2, 0.0])
+    duration = shortest_motion_duration(change, LimitsConfig.model_construct(**values))
+    times = np.linspace(0.0, duration, 4001)
+    blend = np.array([quintic_blend(time, duration)[0] for time in times])
+    step = times[1]
+    speed = np.gradient(blend, step)
+    way = 1.2 if 'turn' in limit else 0.5
+    reached = speed
+    if 'acceleration' in limit:
+        reached = np.gradient(speed, step)
+    assert way * np.abs(reached[2:-2]).max() == pytest.approx(0.3, rel=1e-3)

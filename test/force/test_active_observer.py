@@ -27,15 +27,15 @@ K = 6000.0
 @pytest.mark.parametrize('delay', [0.0, 0.0005, 0.002, 0.0061])
 def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
     """The plant alpha'' + K_2 alpha' = k u(t - T_d) (eq. 32), for whole and broken periods."""
-    inputs, fine = np.random.default_rng(2).standard_normal(12), 20  # steps of 0.1 ms
+    inputs = np.random.default_rng(2).standard_normal(12)
+    fine = 20  # steps of 0.1 ms in a period
     plant = make_delayed_plant(K, k_2, delay, H)
     assert len(plant.Gamma) == 2 + int(np.ceil(delay / H - 1e-9))
     states = [np.zeros(plant.Phi.shape[0])]
     for value in inputs:
         states.append(plant.Phi @ states[-1] + plant.Gamma * value)
-    late = np.concatenate(
-        [np.zeros(round(delay * fine / H)), np.repeat(inputs, fine), [0.0]]
-    )
+    waiting = np.zeros(round(delay * fine / H))
+    late = np.concatenate([waiting, np.repeat(inputs, fine), [0.0]])
     count = len(inputs) * fine + 1
     system = ([[0.0, 1.0], [0.0, -k_2]], [[0.0], [K]], np.eye(2), np.zeros((2, 1)))
     _, expected, _ = lsim(
@@ -53,15 +53,14 @@ def test_delayed_plant_refuses_more_than_ten_periods_of_delay():
 
 @pytest.mark.parametrize('delay', [0.0, 0.002, 0.006, 0.0125])
 def test_place_poles_places_the_designed_poles(delay):
-    """exp(-h/tau) twice, 0 for the delays; r = L_1 f_des settles at f_des (paper notes 4)."""
+    """exp(-h/tau) twice, 0 for the delays; r = L_1 f_des settles at f_des."""
     loop = design_force_loop(input_delay=delay)
-    pole, n = np.exp(-H / 0.02), len(loop.L)
-    np.testing.assert_allclose(
-        np.poly(loop.closed_loop), np.poly([pole, pole] + [0.0] * (n - 2)), atol=1e-9
-    )
-    settled = np.linalg.solve(
-        np.eye(n) - loop.closed_loop, loop.plant.Gamma * loop.L[0] * 10.0
-    )
+    n = len(loop.L)
+    poles = np.zeros(n)
+    poles[:2] = np.exp(-H / 0.02)
+    np.testing.assert_allclose(np.poly(loop.closed_loop), np.poly(poles), atol=1e-9)
+    command = loop.plant.Gamma * loop.L[0] * 10.0
+    settled = np.linalg.solve(np.eye(n) - loop.closed_loop, command)
     assert settled[0] == pytest.approx(10.0, rel=1e-9)
 
 
@@ -90,10 +89,10 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
     )
     literal.reset(1.0)
     for k in range(200):
-        force, variance = (
-            random.normal(5.0) if k else 1.0,
-            10.0 ** random.uniform(-2, 2),
-        )
+        force = 1.0
+        if k > 0:
+            force = random.normal(5.0)
+        variance = 10.0 ** random.uniform(-2, 2)
         measured = every == 1 or k % every > 0
         observer.update(force, variance, measured)
         literal.update(force, variance if measured else np.inf)

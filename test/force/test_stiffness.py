@@ -7,13 +7,17 @@ from multicontact_control.force.observer import design_observer, make_observers
 from multicontact_control.force.stiffness import (
     add_fit_sample,
     estimate_stiffness,
+    filter_signal,
     FIT_SPACE,
     follow_stiffness,
+    friction_of_others,
+    interpolate_ratio_limit,
     set_up_stiffness,
     STIFFNESS,
+    take_over_stiffness,
     use_model_stiffness,
 )
-from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
 import pytest
 
@@ -149,8 +153,8 @@ def test_model_follows_at_its_rates_within_its_range():
             follow(observer, record)
             used.append(float(record['k']))
     steps = np.diff(np.log(used))
-    assert steps.min() >= -H / 0.02 - 1e-12
-    assert steps.max() <= H / 0.004 + 1e-12
+    assert steps.min() == pytest.approx(-H / 0.02)
+    assert steps.max() == pytest.approx(H / 0.004)
     assert (min(used), max(used)) == (pytest.approx(1000.0), pytest.approx(50_000.0))
 
 
@@ -165,3 +169,78 @@ def test_force_does_not_jump_when_the_model_changes():
     assert observer['x_est'][:2].tolist() == [10.0, 80.0]
     assert (observer['P'][0, 1], observer['P'][1, 1]) == (4.0, 12.0)
     assert observer['design']['damping_time'] == pytest.approx(24.0 / 12_000.0)
+
+
+def gain_of_band(fit, frequency):
+    """Return the amplitude that is left of a settled sine of amplitude 1."""
+    times = H * np.arange(2000)
+    passed = [
+        filter_signal(fit, fit['way'], value)
+        for value in np.sin(2.0 * np.pi * frequency * times)
+    ]
+    return np.abs(passed[1000:]).max()
+
+
+@pytest.mark.parametrize(('band', 'centre'), [('slow', 8.0), ('fast', 14.0)])
+def test_band_passes_its_frequencies_alone(band, centre):
+    """Neither what drifts below 0.3 Hz nor the noise above 100 Hz."""
+    record, _ = stiffness_of()
+    assert gain_of_band(record[band], centre) > 0.6
+    assert gain_of_band(record[band], 0.3) < 0.12
+    assert gain_of_band(record[band], 100.0) < 0.1
+
+
+def test_depth_is_the_way_since_the_touch():
+    record, _ = stiffness_of()
+    speeds = 0.01 * (1.0 + np.sin(np.arange(50)))
+    estimate_stiffness(record, 0.5, 10.0, 1.0, 0.0, SPACE)  # not felt yet
+    for speed in speeds:
+        estimate_stiffness(record, 5.0, 10.0, speed, 0.0, SPACE)
+    assert record['depth'] == pytest.approx(np.trapezoid(speeds, dx=H))
+
+
+def test_friction_of_others_is_along_their_sliding():
+    frame = np.zeros(1, dtype=FRAME)[0]
+    frame['rotation'] = np.eye(3)
+    frame['twist'] = 0.02, -0.01, 0.03, 0.1, 0.2, -0.3
+    contacts = np.zeros(3, dtype=CONTACT)
+    normals = np.array([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
+    contacts['normal'] = normals
+    contacts['alpha_meas'] = 5.0, 8.0, -2.0  # what pulls rubs on nothing
+    point = np.array([0.1, -0.05, 0.2])
+    contacts['config']['point'] = point
+    velocity = frame['twist'][:3] + np.cross(frame['twist'][3:], point)
+    sliding = velocity - (velocity @ normals[1]) * normals[1]
+    expected = 8.0 * sliding @ normals[0] / np.sqrt(sliding @ sliding + 0.003**2)
+    assert friction_of_others(frame, contacts, 0) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize('k', [500.0, 1000.0, 1900.0, 12_000.0, 50_000.0, 60_000.0])
+def test_stable_ratio_is_interpolated_over_the_logarithm_of_the_stiffness(k):
+    record, _ = stiffness_of(adaptive={'lowest': 1000.0, 'highest': 50_000.0})
+    record['k'] = k
+    grid = np.linspace(np.log(1000.0), np.log(50_000.0), 8)
+    limits = record['config']['ratio_limit']
+    limits[:] = np.linspace(3.0, 1.0, 8) ** 2
+    assert interpolate_ratio_limit(record) == pytest.approx(
+        np.interp(np.log(k), grid, limits)
+    )
+
+
+def test_design_that_takes_over_knows_the_surface():
+    old, new = np.zeros(2, dtype=FORCE_LAW)
+    for law, k in ((old, 6000.0), (new, 3000.0)):
+        record, observer = stiffness_of(k)
+        law['stiffness'] = record
+        law['observer'] = observer
+    known = old['stiffness']
+    for sample in signals(6000.0, 20.0, 0.0, 0.5):
+        estimate_stiffness(known, 5.0 + sample[3], 10.0, sample[1], 0.0, SPACE)
+    use_model_stiffness(old['observer'], known, 9000.0, 18.0)
+    take_over_stiffness(new, old)
+    assert known['k_est'] > 0.0
+    assert new['stiffness'] == known
+    np.testing.assert_allclose(
+        new['observer']['design']['feedback'], old['observer']['design']['feedback']
+    )
+    assert new['observer']['design']['damping_time'] == pytest.approx(0.002)

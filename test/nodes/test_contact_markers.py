@@ -17,36 +17,42 @@ CONFIG = controller_config()
 
 
 def arrows_of(forces, active):
+    """Return the arrows of the table and the board."""
     nothing = make_empty_answer(6, len(NORMALS))
-    contacts, controls = nothing.contacts.copy(), nothing.controls.copy()
-    contacts['alpha_meas'], contacts['answer']['active'] = forces, active
+    contacts = nothing.contacts.copy()
+    contacts['alpha_meas'] = forces
+    contacts['answer']['active'] = active
     contacts['normal'] = NORMALS
-    controls['frame']['position'], controls['frame']['rotation'] = POSE
+    controls = nothing.controls.copy()
+    controls['frame']['position'] = POSE.position_world
+    controls['frame']['rotation'] = POSE.rotation_world
     output = nothing._replace(memory=controls.tobytes() + contacts.tobytes())
     return build_contact_arrows(CONFIG, STAMP, output).markers
 
 
+def coordinates(point):
+    return np.array([point.x, point.y, point.z])
+
+
 def test_arrows_are_as_long_as_the_measured_forces_and_end_at_the_tips():
-    arrows = arrows_of(FORCES, [True, False])
-    assert [arrow.action for arrow in arrows] == [Marker.ADD, Marker.DELETE]
-    assert len({arrow.id for arrow in arrows}) == 2
-    assert (
-        arrows[0].color != arrows[1].color
-    )  # of an active contact, and of one that is not
+    arrows = arrows_of(FORCES, [True, True])
     for arrow, name, force, normal in zip(
         arrows, CONFIG.contact_names, FORCES, NORMALS
     ):
-        tail, tip = (np.array([point.x, point.y, point.z]) for point in arrow.points)
+        tail, tip = map(coordinates, arrow.points)
+        point = CONFIG.contacts[name].point_operational
+        expected = POSE.position_world + POSE.rotation_world @ point
+        np.testing.assert_allclose(tip, expected)
         np.testing.assert_allclose(tip - tail, 0.01 * force * normal, atol=1e-12)
-        np.testing.assert_allclose(
-            tip,
-            POSE.position_world
-            + POSE.rotation_world @ (CONFIG.contacts[name].point_operational),
-        )
-        assert (arrow.header.frame_id, arrow.header.stamp.sec) == (
-            'world',
-            STAMP // 10**9,
-        )
+        assert arrow.header.frame_id == 'world'
+        assert arrow.header.stamp.sec == STAMP // 10**9
+
+
+def test_arrow_of_a_contact_without_a_force_is_taken_away():
+    pressed, light = arrows_of(FORCES, [True, False])
+    assert (pressed.action, light.action) == (Marker.ADD, Marker.DELETE)
+    assert pressed.id != light.id
+    assert pressed.color != light.color  # active, and not
 
 
 def test_number_that_is_not_finite_is_not_drawn():

@@ -1,5 +1,6 @@
 """Motions that lead to joint stops and out of reach: forces stay, and the arm comes back."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,27 +35,22 @@ class Course(NamedTuple):
 
     def at(self, time, start):
         """Return the motion command at a time [s] after a start pose."""
-        out, _, _ = quintic_blend(time, self.duration)
-        share, rate, change = quintic_blend(time - self.duration - REST, self.duration)
-        if time < self.duration + REST:
-            share, rate, change = (
-                1.0 - x if n == 0 else -x
-                for n, x in enumerate(quintic_blend(time, self.duration))
-            )
-        way = self.distance * (1.0 - share)
+        out = np.array(quintic_blend(time, self.duration))
+        back = np.array(quintic_blend(time - self.duration - REST, self.duration))
+        way, rate, change = self.distance * (out - back)
         direction = np.array(self.direction)
-        twist, acceleration = np.zeros(6), np.zeros(6)
-        part = slice(3, 6) if self.turns else slice(0, 3)
-        twist[part] = -rate * self.distance * direction
-        acceleration[part] = -change * self.distance * direction
-        position, rotation = (
-            start.position_world,
-            Rotation.from_matrix(start.rotation_world),
-        )
+        position = start.position_world
+        rotation = Rotation.from_matrix(start.rotation_world)
+        twist = np.zeros(6)
+        acceleration = np.zeros(6)
         if self.turns:
             rotation = Rotation.from_rotvec(way * direction) * rotation
+            twist[3:] = rate * direction
+            acceleration[3:] = change * direction
         else:
             position = position + way * direction
+            twist[:3] = rate * direction
+            acceleration[:3] = change * direction
         return MotionReading(position, rotation.as_quat(), twist, acceleration)
 
 
@@ -72,11 +68,9 @@ class Seen(NamedTuple):
 def follow(course, *, pressing, stops=None, **chosen):
     """Follow a course with one contact, or in the air; return the limits and what was seen."""
     names = {'contact_names': ['table']}
-    limits = {
-        'workspace_lower': [-9.0] * 3,
-        'workspace_upper': [9.0] * 3,
-        **(stops or {}),
-    }
+    limits = {'workspace_lower': [-9.0] * 3, 'workspace_upper': [9.0] * 3}
+    if stops is not None:
+        limits |= stops
     setup = resolve(
         'one_contact',
         controller={**names, 'limits': limits},
@@ -89,8 +83,11 @@ def follow(course, *, pressing, stops=None, **chosen):
         **chosen,
     )
     loop = ClosedLoop(setup, commanded=True)
-    period, rows, limited, reactions = setup.controller.period, [], set(), set()
-    try:
+    period = setup.controller.period
+    joints, speeds, forces, positions = [], [], [], []
+    limited = set()
+    reactions = set()
+    with closing(loop):
         for _ in range(50):
             loop.advance()
         if pressing:
@@ -101,21 +98,14 @@ def follow(course, *, pressing, stops=None, **chosen):
         for tick in range(round((2.0 * course.duration + 3.0 * REST) / period)):
             loop.control.set_motion(course.at(tick * period, start))
             loop.advance()
-            arm = loop.plant.arm
-            rows.append(
-                (
-                    arm.q.copy(),
-                    arm.qd.copy(),
-                    loop.sample.contact_force[0],
-                    loop.control.output.pose.position_world,
-                )
-            )
+            joints.append(loop.plant.arm.q.copy())
+            speeds.append(loop.plant.arm.qd.copy())
+            forces.append(loop.sample.contact_force[0])
+            positions.append(loop.control.output.pose.position_world)
             limited.update(loop.status.limits)
             reactions.add(loop.status.reaction)
-    finally:
-        loop.close()
-    columns = (np.array(column) for column in zip(*rows))
-    return setup.controller.limits, Seen(*columns, limited, reactions)
+    series = map(np.array, (joints, speeds, forces, positions))
+    return setup.controller.limits, Seen(*series, limited, reactions)
 
 
 def assert_safe(limits, seen, *, pressing):
@@ -150,19 +140,16 @@ def test_joint_led_to_its_stop_holds_there_and_the_force_stays(robot, joint, pre
     """The stop is set 0.15 rad beyond home; a slide or a turn about the vertical leads there."""
     home = np.array(find_robot(robot).plant_values('')['home'])
     base = resolve('one_contact', robot=robot).controller.limits
-    lower, upper = np.array(base.joint_lower), np.array(base.joint_upper)
-    lower[joint], upper[joint] = home[joint] - 0.15, home[joint] + 0.15
-    course = (
-        Course((1.0, 0.0, 0.0), 0.25, 0.1)
-        if joint == 0
-        else (Course((0.0, 0.0, 1.0), 0.6, 0.4, turns=True))
-    )
-    limits, seen = follow(
-        course,
-        pressing=pressing,
-        robot=robot,
-        stops={'joint_lower': lower.tolist(), 'joint_upper': upper.tolist()},
-    )
+    lower = np.array(base.joint_lower)
+    upper = np.array(base.joint_upper)
+    lower[joint] = home[joint] - 0.15
+    upper[joint] = home[joint] + 0.15
+    stops = {'joint_lower': lower.tolist(), 'joint_upper': upper.tolist()}
+    if joint == 0:
+        course = Course((1.0, 0.0, 0.0), 0.25, 0.1)
+    else:
+        course = Course((0.0, 0.0, 1.0), 0.6, 0.4, turns=True)
+    limits, seen = follow(course, pressing=pressing, robot=robot, stops=stops)
     assert_safe(limits, seen, pressing=pressing)
     if len(home) == 6:  # with a seventh joint the others go around it
         assert 'joint' in seen.limits
@@ -191,17 +178,18 @@ def test_foreign_arm_in_mujoco_ends_at_the_edge_of_its_reach(foreign, direction)
 
 def test_box_of_a_new_robot_is_reached_everywhere(foreign):
     robot = find_robot(foreign)
-    model, home = robot.arm.model(), np.array(robot.file.home)
-    lower, upper = (
-        np.array(robot.file.workspace_lower),
-        np.array(robot.file.workspace_upper),
-    )
-    pose, rng = frame_pose(model, home), np.random.default_rng(1)
-    assert (lower < pose.translation).all() and (pose.translation < upper).all()
+    model = robot.arm.model()
+    home = np.array(robot.file.home)
+    lower = np.array(robot.file.workspace_lower)
+    upper = np.array(robot.file.workspace_upper)
+    pose = frame_pose(model, home)
+    assert (lower < pose.translation).all()
+    assert (pose.translation < upper).all()
     assert (upper - lower > 0.15).all()
-    stops = joint_limits(model)
-    for point in rng.uniform(lower, upper, (20, 3)):
+    lowest, highest = joint_limits(model)
+    for point in np.random.default_rng(1).uniform(lower, upper, (20, 3)):
         pose.translation = point
         q = find_posture_at(model, pose, home)
         assert q is not None
-        assert (stops[0] <= q).all() and (q <= stops[1]).all()
+        assert (lowest <= q).all()
+        assert (q <= highest).all()

@@ -11,43 +11,42 @@ from scipy.spatial.transform import Rotation
 FORCE, DURATION = 10.0, 1.5  # N, s
 
 
-def slide(robot, plant, degrees, axis, way, seed):
-    """Return forces and states of a slide on a table that is tilted about a world axis."""
-
-    def table(setup):
-        return np.array(setup.controller.contacts['table'].normal_world)
-
-    turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)['xyz'.index(axis)])
-    normal = turn.apply(table(resolve('quick', robot=robot, plant=plant)))
-    loop = ClosedLoop(
-        resolve(
-            'quick',
-            robot=robot,
-            plant=plant,
-            seed=seed,
-            plant_overrides={'surfaces': {'table': {'normal_world': normal.tolist()}}},
-        ),
-        commanded=True,
+def tilted_setup(robot, plant, seed, tilt):
+    """Return a setup whose table is tilted, which the controller is not told."""
+    setup = resolve('quick', robot=robot, plant=plant)
+    normal = tilt.apply(setup.controller.contacts['table'].normal_world)
+    table = {'normal_world': normal.tolist()}
+    return resolve(
+        'quick',
+        robot=robot,
+        plant=plant,
+        seed=seed,
+        plant_overrides={'surfaces': {'table': table}},
     )
-    period, forces, states = loop.setup.controller.period, [], set()
+
+
+def slide(setup, way):
+    """Return forces [N] and states of a slide along a way [m], shape (3,)."""
+    loop = ClosedLoop(setup, commanded=True)
+    period = setup.controller.period
+    forces = []
+    states = set()
     loop.advance()
     loop.control.set_forces({'table': FORCE})
     for _ in range(round(2.5 / period)):
         loop.advance()
     start = loop.control.output.pose_des
-    place, quaternion = start.position_world.copy(), start.quaternion_xyzw.copy()
+    place = start.position_world.copy()
+    quaternion = start.quaternion_xyzw.copy()
+    line = np.array([*way, 0.0, 0.0, 0.0])
     for tick in range(round((DURATION + 0.5) / period)):
         s, ds, dds = quintic_blend(tick * period, DURATION)
-        twist, acceleration = np.zeros((2, 6))
-        twist[:3], acceleration[:3] = ds * np.array(way), dds * np.array(way)
-        loop.control.set_motion(
-            MotionReading(place + s * np.array(way), quaternion, twist, acceleration)
-        )
+        motion = MotionReading(place + s * line[:3], quaternion, ds * line, dds * line)
+        loop.control.set_motion(motion)
         loop.advance()
+        status = loop.control.status
         forces.append(loop.sample.contact_force[0])
-        states.add(
-            (loop.control.status.reaction, loop.control.status.contact_states[0])
-        )
+        states.add((status.reaction, status.contact_states[0]))
     loop.close()
     return np.array(forces), states
 
@@ -74,7 +73,8 @@ def slide(robot, plant, degrees, axis, way, seed):
 )
 def test_slide_on_a_tilted_surface_presses_on(robot, plant, seed, degrees, axis, way):
     """R grew to hundreds of N^2 there, so that the law did not see the surface fall away."""
-    forces, states = slide(robot, plant, degrees, axis, way, seed)
+    tilt = Rotation.from_euler(axis, degrees, degrees=True)
+    forces, states = slide(tilted_setup(robot, plant, seed, tilt), way)
     assert states == {('none', 'holding')}
     assert forces.max() < FORCE + 20.0
     assert np.mean(forces[-100:]) == pytest.approx(FORCE, abs=0.5)

@@ -22,19 +22,19 @@ FRICTION = 0.1  # of the simulated surfaces
 def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, bound):
     setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
     data = run_of(setup).data
-    window = RunMetrics(data, setup).windows
-    assert (
-        judge_run(RunMetrics(data, setup), mode='in_process', events=()).name == STABLE
-    )
-    for i, name in enumerate(data.contact_names):
-        contact = RunMetrics(data, setup).contacts[i]
-        error = contact.error
-        assert rms_within(window.rest, error) < 0.2, name
-        assert rms_within(window.moving, error) < bound, name
+    metrics = RunMetrics(data, setup)
+    assert judge_run(metrics, mode='in_process', events=()).name == STABLE
+    for contact in metrics.contacts:
+        assert rms_within(metrics.windows.rest, contact.error) < 0.2
+        assert rms_within(metrics.windows.moving, contact.error) < bound
         assert contact.losses == []
     # the couple of 3 N has moved the centre of pressure: a fifth of the half length
     held = (data.time > 6.5) & (data.time < 7.5)
     assert data.alpha_true[held, 1].mean() == pytest.approx(3.0, abs=0.1)
+
+
+def rms(errors):
+    return np.sqrt(np.mean(errors**2))
 
 
 def press(
@@ -42,6 +42,7 @@ def press(
 ):
     """Return the error of the last contact's true force while something happens [N]."""
     names = ['table', 'board'] if only is None else [only]
+    steps = [{'time': 2.0, 'forces': dict.fromkeys(names, 15.0)}]
     setup = resolve(
         'quick',
         plant='rigid',
@@ -49,14 +50,10 @@ def press(
         controller={'contact_names': names, 'contacts': changes},
         noise_estimator={'contact_names': names},
         plant_overrides={'contact_names': names, 'surfaces': plant or {}},
-        scenario_overrides={
-            'reference': {
-                'force_steps': [{'time': 2.0, 'forces': dict.fromkeys(names, 15.0)}],
-                'motion': motion,
-            }
-        },
+        scenario_overrides={'reference': {'force_steps': steps, 'motion': motion}},
     )
-    loop, errors = ClosedLoop(setup), []
+    loop = ClosedLoop(setup)
+    errors = []
     for k in range(ticks):
         each(loop, k)
         loop.advance()
@@ -72,20 +69,22 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
     """
 
     def receding(loop, k):
-        if k * H > 3.0:
-            loop.plant.contacts.shift_surface(1, (0.02 if k * H <= 4.0 else -0.02) * H)
+        time = k * H
+        if time > 3.0:
+            speed = 0.02 if time <= 4.0 else -0.02
+            loop.plant.contacts.shift_surface(1, speed * H)
 
     settings = {
         'table': {'friction_coefficient': FRICTION},
         'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1},
     }
     contacts, errors = press(settings, ticks=2500, each=receding)
-    assert np.sqrt((errors[1750:2000] ** 2).mean()) < 0.3
-    assert np.sqrt((errors[2250:2500] ** 2).mean()) < 0.3
+    assert rms(errors[1750:2000]) < 0.3
+    assert rms(errors[2250:2500]) < 0.3
     # The table's speed is not asked for.
     np.testing.assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
     _, bare = press({}, ticks=2000, each=receding)
-    assert np.sqrt((bare[1750:] ** 2).mean()) > 1.0
+    assert rms(bare[1750:]) > 1.0
 
 
 @pytest.mark.parametrize(
@@ -106,18 +105,14 @@ def test_unknown_tilt_is_followed_while_sliding_within_its_range(
         motion=motion,
     )
     normal = contacts['normal'][0]
-    assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(
-        expected, abs=1.0
-    )
+    found = np.degrees(np.arctan2(normal[0], -normal[2]))
+    assert found == pytest.approx(expected, abs=1.0)
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     if not limit:
-        smooth = np.convolve(
-            errors[2100:], np.full(25, 1 / 25), 'valid'
-        )  # without roughness
-        assert np.sqrt((smooth**2).mean()) < 0.3
-        _, bare = press(
-            {'table': {'friction_std': 3.0}}, ticks=1250, plant=surface, only='table'
-        )
+        without_roughness = np.convolve(errors[2100:], np.full(25, 1 / 25), 'valid')
+        assert rms(without_roughness) < 0.3
+        untold = {'table': {'friction_std': 3.0}}
+        _, bare = press(untold, ticks=1250, plant=surface, only='table')
         assert bare[-100:].mean() > 0.8
 
 

@@ -6,7 +6,7 @@ Sign convention: robot on environment, normal into the surface, so that pressing
 
 import equations
 from multicontact_control.config import ToolConfig
-from multicontact_control.contact.wrench import contact_wrench
+from multicontact_control.contact.wrench import contact_wrench, interpolate_tool
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CalibrationError
 from multicontact_control.sensor.tool import (
@@ -176,3 +176,20 @@ def test_identification_refuses_poor_poses_and_a_flipped_turned_or_broken_sensor
 ):
     with pytest.raises(CalibrationError, match=message):
         identify_tool(poses, GRAVITY)
+
+
+@pytest.mark.parametrize('mass', [0.0, 0.2])
+def test_tool_on_the_way_to_another_is_read_as_a_share_of_both(mass):
+    """Also from no tool at all."""
+    before = ToolConfig(mass=mass, com_sensor=(0.05, 0.0, 0.02), bias_sensor=(0.5,) * 6)
+
+    def reading(tool):
+        weight = predict_weight_reading(POSES[0], tool, GRAVITY)
+        return weight + tool.bias_sensor
+
+    for share in (0.0, 0.25, 0.75, 1.0):
+        np.testing.assert_allclose(
+            reading(interpolate_tool(before, TOOL, share)),
+            (1.0 - share) * reading(before) + share * reading(TOOL),
+            atol=1e-12,
+        )

@@ -31,10 +31,10 @@ def make_plant():
 
     def make(preset='rigid', *, seed=0, surfaces=None, **changes):
         both = {'surfaces': dict.fromkeys(('table', 'board'), surfaces or {})}
-        plants.append(
-            Plant(plant_config(preset, **merge(both, changes)), rate=500.0, seed=seed)
-        )
-        return plants[-1]
+        config = plant_config(preset, **merge(both, changes))
+        plant = Plant(config, rate=500.0, seed=seed)
+        plants.append(plant)
+        return plant
 
     yield make
     for plant in plants:

@@ -29,38 +29,47 @@ def readings(instrument, wrenches):
     return np.array(raw), np.array(filtered)
 
 
-def test_reading_is_mounted_biased_saturated_and_quantised(rng):
+def test_reading_is_rounded_to_the_steps_of_the_converter(rng):
     steps = converter_step(SensorConfig())
     np.testing.assert_allclose(steps[[0, 2, 3]], [200 / 16384, 400 / 16384, 10 / 16384])
     wrenches = rng.uniform(-1, 1, (200, 6))
     raw, _ = readings(sensor(quantise=True), wrenches)
     np.testing.assert_allclose(raw / steps, np.round(raw / steps), atol=1e-9)
     assert np.all(np.abs(raw - wrenches) <= 0.5 * steps + 1e-15)
+
+
+def test_reading_is_turned_as_mounted_and_biased():
     turned = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    raw, _ = readings(
-        sensor(mounting=turned, bias=(0.5, 0, 0, 0, 0, 0)), [np.arange(1.0, 7.0)]
-    )
+    mounted = sensor(mounting=turned, bias=(0.5, 0, 0, 0, 0, 0))
+    raw, _ = readings(mounted, [np.arange(1.0, 7.0)])
     np.testing.assert_array_equal(raw[0], [-1.5, 1.0, 3.0, -5.0, 4.0, 6.0])
+
+
+def test_reading_is_saturated_at_the_range():
+    ranges = np.array([100.0, 100.0, 200.0, 5.0, 5.0, 5.0])
     raw, _ = readings(sensor(saturate=True), [np.full(6, 1e3), np.full(6, -1e3)])
-    np.testing.assert_array_equal(raw, np.outer((1, -1), [100, 100, 200, 5, 5, 5]))
+    np.testing.assert_array_equal(raw, [ranges, -ranges])
 
 
 def test_sensor_noise_has_the_asked_deviation():
     raw, _ = readings(sensor(noise=True), np.zeros((20000, 6)))
-    np.testing.assert_allclose(
-        np.std(raw, axis=0), [0.047] * 3 + [0.004] * 3, rtol=0.03
-    )
+    deviations = [0.047] * 3 + [0.004] * 3
+    np.testing.assert_allclose(np.std(raw, axis=0), deviations, rtol=0.03)
     np.testing.assert_allclose(np.mean(raw, axis=0), 0.0, atol=0.0015)
-    assert np.max(np.abs(np.corrcoef(raw.T) - np.eye(6))) < 0.03
-    assert abs(np.mean(raw[1:, 0] * raw[:-1, 0])) < 0.03 * 0.047**2
+    np.testing.assert_allclose(np.corrcoef(raw.T), np.eye(6), rtol=0.0, atol=0.03)
+    autocorrelation = np.mean(raw[1:, 0] * raw[:-1, 0])
+    assert abs(autocorrelation) < 0.03 * 0.047**2
 
 
 def test_coefficients_of_a_low_pass_are_scipys(rng):
     for rate in (500.0, 1000.0, 4000.0, *rng.uniform(100.0, 1e4, 20)):
         for cutoff in (31.25, *rng.uniform(1.0, 0.49 * rate, 20)):
             if cutoff < 0.5 * rate:
-                np.testing.assert_array_equal(
-                    butterworth_low_pass(cutoff, rate), butter(2, cutoff, fs=rate)
-                )
+                expected = butter(2, cutoff, fs=rate)
+                found = butterworth_low_pass(cutoff, rate)
+                np.testing.assert_array_equal(found, expected)
+
+
+def test_cutoff_at_the_nyquist_frequency_is_refused():
     with pytest.raises(ConfigError, match='^sensor.low_pass_cutoff'):
         low_pass_stages(500.0, 1000.0)

@@ -1,5 +1,7 @@
 """A study's file: what it may say, what a user chooses of it, and the runs it makes."""
 
+from itertools import product
+
 from multicontact_control.errors import ConfigError
 from multicontact_control.study.cells import plan_runs
 from multicontact_control.study.config import (
@@ -33,33 +35,41 @@ def fixture_read(tmp_path):
     return read
 
 
-def test_ranges_are_even_and_levels_keep_their_labels(read):
-    factors = (
-        read(
-            factors={
-                'a': {'start': 0.1, 'stop': 0.5, 'count': 5},
-                'e': [True, 'x'],
-                'c': {'start': 1.0, 'stop': 1000.0, 'count': 4, 'spacing': 'log'},
-                'ratio': {
-                    'start': 1,
-                    'stop': 2,
-                    'count': 2,
-                    'sets': 'p',
-                    'multiples_of': 'q',
-                },
-                'level': {'plain': {}, 'soft': {'a.b': 1}},
-            }
-        )
-        .parts['']
-        .factors
-    )
-    assert [[value for value, _ in factors[name].settings(name)] for name in 'ace'] == [
-        [0.1, 0.2, 0.3, 0.4, 0.5],
-        [1.0, 10.0, 100.0, 1000.0],
-        [True, 'x'],
-    ]
-    assert factors['ratio'].settings('ratio') == [(1.0, {'p': 1.0}), (2.0, {'p': 2.0})]
-    assert factors['level'].settings('level') == [('plain', {}), ('soft', {'a.b': 1})]
+def plan_cells(study, **choices):
+    """Return the runs of a study with what a user chooses of it."""
+    return plan_runs(apply_choices(study, choices))
+
+
+def set_each(*values):
+    """Return the settings of a factor that sets the parameter a.b."""
+    return [(value, {'a.b': value}) for value in values]
+
+
+@pytest.mark.parametrize(
+    ('factor', 'settings'),
+    [
+        (
+            {'start': 0.1, 'stop': 0.5, 'count': 5},
+            set_each(0.1, 0.2, 0.3, 0.4, 0.5),
+        ),
+        (
+            {'start': 1.0, 'stop': 1000.0, 'count': 4, 'spacing': 'log'},
+            set_each(1.0, 10.0, 100.0, 1000.0),
+        ),
+        ([True, 'x'], set_each(True, 'x')),
+        (
+            {'start': 1, 'stop': 2, 'count': 2, 'sets': 'p', 'multiples_of': 'q'},
+            [(1.0, {'p': 1.0}), (2.0, {'p': 2.0})],
+        ),
+        (
+            {'plain': {}, 'soft': {'a.b': 1}},
+            [('plain', {}), ('soft', {'a.b': 1})],
+        ),
+    ],
+)
+def test_ranges_are_even_and_levels_keep_their_labels(read, factor, settings):
+    study = read(factors={'a.b': factor})
+    assert study.parts[''].factors['a.b'].settings('a.b') == settings
 
 
 @pytest.mark.parametrize(
@@ -93,57 +103,48 @@ def test_bad_file_parameter_or_value_is_refused_before_anything_runs(
     read, changes, field
 ):
     with pytest.raises(ConfigError, match=f'{field}: expected ') as caught:
-        plan_runs(apply_choices(read(**changes), {}))
+        plan_cells(read(**changes))
     assert '\n' not in str(caught.value)
 
 
+def list_factors(cells, *names):
+    """Return the values of some factors of each run."""
+    return [tuple(cell.factors[name] for name in names) for cell in cells]
+
+
 def test_cells_are_every_combination_with_every_seed_on_every_plant(read):
-    cells = plan_runs(apply_choices(read(plants=['rigid', 'puma']), {}))
-    assert [
-        tuple(cell.factors[name] for name in ('plant', DELAY, ESTIMATOR, 'seed'))
-        for cell in cells
-    ] == [
-        (plant, ticks, estimator, seed)
-        for plant in ('rigid', 'puma')
-        for ticks in (0, 2)
-        for estimator in ('fixed', 'lead_window')
-        for seed in (0, 1)
+    cells = plan_cells(read(plants=['rigid', 'puma']))
+    assert list_factors(cells, 'plant', DELAY, ESTIMATOR, 'seed') == [
+        *product(('rigid', 'puma'), (0, 2), ('fixed', 'lead_window'), (0, 1))
     ]
     assert len({cell.key for cell in cells}) == 16
-    assert all(cell.key == cell.job.key() for cell in cells)
-    setup = cells[5].job.setup()
-    assert (
-        setup.plant.actuator_delay_ticks,
-        setup.noise_estimator.estimator,
-        setup.seed,
-    ) == (2, 'fixed', 1)
+    for cell in cells:
+        assert cell.key == cell.job.key()
+
+
+def test_job_of_a_cell_has_its_factors_and_its_seed(read):
+    setup = plan_cells(read())[5].job.setup()
+    assert setup.plant.actuator_delay_ticks == 2
+    assert setup.noise_estimator.estimator == 'fixed'
+    assert setup.seed == 1
 
 
 def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(read):
+    ratio = {
+        'values': [0.5],
+        'sets': STIFFNESS,
+        'multiples_of': 'controller.contacts.*.stiffness',
+    }
     study = read(
         parts={
             'grid': {},
             'one': {'factors': {DAMPING: [30.0], DELAY: [3]}, 'seeds': [7]},
             'never': {'where': {'plant.drives': 'flexible'}},
-            'soft': {
-                'factors': {
-                    'ratio': {
-                        'values': [0.5],
-                        'sets': STIFFNESS,
-                        'multiples_of': 'controller.contacts.*.stiffness',
-                    }
-                }
-            },
+            'soft': {'factors': {'ratio': ratio}},
         }
     )
-    cells = plan_runs(
-        apply_choices(study, {'seed': (0,), **read_choices([f'{ESTIMATOR}=fixed'])})
-    )
-    rows = [
-        tuple(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio', 'seed'))
-        for cell in cells
-    ]
-    assert rows == [
+    cells = plan_cells(study, seed=(0,), **read_choices([f'{ESTIMATOR}=fixed']))
+    assert list_factors(cells, 'part', DELAY, DAMPING, 'ratio', 'seed') == [
         ('grid', 0, 100.0, 1.0, 0),
         ('grid', 2, 100.0, 1.0, 0),
         ('one', 3, 30.0, 1.0, 7),
@@ -151,52 +152,44 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
         ('soft', 2, 100.0, 0.5, 0),
     ]
     soft = cells[-1].job.setup()
-    assert {surface.stiffness for surface in soft.plant.surfaces.values()} == {3000.0}
-    assert {contact.stiffness for contact in soft.controller.contacts.values()} == {
-        6000.0
-    }
+    for name in ('table', 'board'):
+        assert soft.plant.surfaces[name].stiffness == 3000.0
+        assert soft.controller.contacts[name].stiffness == 6000.0
 
 
 def test_adjustment_holds_where_its_condition_does(read):
-    cells = plan_runs(
-        apply_choices(
-            read(
-                plants=['rigid', 'puma'],
-                factors={},
-                seeds=1,
-                adjustments=[
-                    {'where': {'plant.drives': 'rigid'}, 'values': {DAMPING: 30.0}}
-                ],
-            ),
-            {},
-        )
+    adjustment = {'where': {'plant.drives': 'rigid'}, 'values': {DAMPING: 30.0}}
+    study = read(
+        plants=['rigid', 'puma'], factors={}, seeds=1, adjustments=[adjustment]
     )
-    assert [cell.job.setup().controller.force.damping_rate for cell in cells] == [
-        30.0,
-        100.0,
-    ]
+    rigid, flexible = (cell.job.setup().controller.force for cell in plan_cells(study))
+    assert rigid.damping_rate == 30.0
+    assert flexible.damping_rate == 100.0
+
+
+LEVELS = {'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}}
 
 
 def test_user_chooses_plants_seeds_and_values(read):
-    study = read(factors={'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}})
-    cells = plan_runs(
-        apply_choices(
-            study,
-            {'seed': (5,), **read_choices(['level=b', f'{DAMPING}=20, 60'])},
-            robot='panda',
-        )
+    choices = read_choices(['level=b', f'{DAMPING}=20, 60'])
+    chosen = apply_choices(
+        read(factors=LEVELS), {'seed': (5,), **choices}, robot='panda'
     )
-    assert [(cell.factors['level'], cell.factors[DAMPING]) for cell in cells] == [
-        ('b', 20.0),
-        ('b', 60.0),
+    cells = plan_runs(chosen)
+    assert list_factors(cells, 'level', DAMPING, 'plant', 'seed') == [
+        ('b', 20.0, 'panda/rigid', 5),
+        ('b', 60.0, 'panda/rigid', 5),
     ]
-    assert {(cell.factors['plant'], cell.factors['seed']) for cell in cells} == {
-        ('panda/rigid', 5)
-    }
-    with pytest.raises(ConfigError, match='^level: expected some of a, b, got'):
-        apply_choices(study, {'level': ['c']})
-    with pytest.raises(ConfigError, match='^part: expected some of'):
-        apply_choices(study, {'part': ['c']})
-    for text in ('level', '=3', 'level=', 'level=]'):
-        with pytest.raises(ConfigError, match='^--set'):
-            read_choices([text])
+
+
+@pytest.mark.parametrize(('factor', 'known'), [('level', 'a, b'), ('part', '')])
+def test_choice_that_the_study_does_not_have_is_refused(read, factor, known):
+    study = read(factors=LEVELS)
+    with pytest.raises(ConfigError, match=f'^{factor}: expected some of {known}'):
+        apply_choices(study, {factor: ['c']})
+
+
+@pytest.mark.parametrize('text', ['level', '=3', 'level=', 'level=]'])
+def test_choice_that_is_no_factor_with_values_is_refused(text):
+    with pytest.raises(ConfigError, match='^--set'):
+        read_choices([text])

@@ -89,47 +89,41 @@ def test_lines_are_statistics_over_the_seeds(frame):
     ]
 
 
-@pytest.mark.parametrize(
-    'values', [[600.0] * 3 + [6e4] * 3, ['soft'] * 3 + ['stiff'] * 3]
-)
-def test_figure_has_a_cross_where_no_run_is_good_and_no_point_upon_another(
-    frame, values
-):
-    both = pd.concat(
-        [frame.assign(law=law) for law in ('pi', 'dob')], ignore_index=True
-    )
-    both['k'] = values * 2
-    both.loc[9:, 'stable'] = False  # of the second law at the second value
+def draw_two_laws(frame):
+    """Draw the frame for two laws, of which the second has no good run at the second value."""
+    frames = [frame.assign(law='pi'), frame.assign(law='dob')]
+    both = pd.concat(frames, ignore_index=True)
+    both.loc[9:, 'stable'] = False
     both.attrs = {'factors': ['part', 'plant', 'k', 'law', 'seed'], 'units': {}}
-    figure = draw_study(both, StudyConfig(name='s', scenario='step'))
+    return draw_study(both, StudyConfig(name='s', scenario='step'))
+
+
+@pytest.mark.parametrize('values', [(600.0, 6e4), ('soft', 'stiff')])
+def test_figure_has_a_cross_where_no_run_is_good(frame, values):
+    frame['k'] = np.repeat(values, 3)
+    figure = draw_two_laws(frame)
     share, rise = figure.axes[:2]
-    crosses = [line for line in rise.lines if line.get_marker() == 'x']
-    assert (
-        len(crosses) == 1
-        and [line.get_marker() for line in share.lines].count('x') == 0
-    )
+    assert [line.get_marker() for line in rise.lines].count('x') == 1
+    assert 'x' not in [line.get_marker() for line in share.lines]
     legend = {text.get_text() for text in figure.legends[0].get_texts()}
     assert legend == {'law = pi', 'law = dob', 'no stable run'}
-    if values[0] == 'soft':
-        first, second = (line.get_ydata() for line in rise.lines if line not in crosses)
-        assert second[0] - first[0] > 0.2
+
+
+def test_figure_of_levels_draws_no_point_upon_another(frame):
+    frame['k'] = np.repeat(('soft', 'stiff'), 3)
+    rise = draw_two_laws(frame).axes[1]
+    first, second = [line for line in rise.lines if line.get_marker() != 'x']
+    assert second.get_ydata()[0] - first.get_ydata()[0] > 0.2
 
 
 @pytest.mark.parametrize('width', [30, 80, 400])
 @pytest.mark.parametrize('label', ['lead_window', 'window rescaled to the R at rest'])
 def test_terminal_shows_every_column_whatever_its_width(width, label):
-    names = [f'value{i} [N]' for i in range(20)]
-    shown = pd.DataFrame(
-        [
-            {
-                'estimator': label,
-                'k': '600',
-                **{name: f'{i}.2345' for i, name in enumerate(names)},
-                'good': 'well ' * 30,
-            }
-        ]
-        * 2
-    )
+    row = {'estimator': label, 'k': '600'}
+    for i in range(20):
+        row[f'value{i} [N]'] = f'{i}.2345'
+    row['good'] = 'well ' * 30
+    shown = pd.DataFrame([row, row])
     shown.attrs = {'labels': 2}
     console = Console(width=width, record=True, file=io.StringIO())
     console.print(*terminal_tables('compare', {'': shown}, width))
@@ -138,20 +132,24 @@ def test_terminal_shows_every_column_whatever_its_width(width, label):
     for i in range(20):
         assert len(re.findall(rf'\b{i}\.2345\b', text)) == 2
         assert re.search(rf'\bvalue{i}\b', text)
-    assert len(re.findall('well', text)) == 60
-    assert text.count('continued') == (text.count('estimator') - 1)
+    assert text.count('well') == 60
+    assert text.count('continued') == text.count('estimator') - 1
+
+
+@pytest.mark.parametrize(
+    ('good', 'values'),
+    [
+        ((0, 0, 1, 1, 1), '1, 2, 5'),
+        ((1, 1, 1, 1, 0), '0.1 to 2'),
+        ((0, 0, 0, 0, 0), 'none'),
+    ],
+)
+def test_values_whose_runs_are_all_good_are_listed_or_are_a_range(good, values):
+    runs = pd.DataFrame({'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'good': good})
+    assert list_good_values(runs.astype({'good': bool}), 'k', 'good') == values
 
 
 def test_sentences_tell_where_all_runs_are_good(frame):
-    for flags, values in (
-        ('00111', '1, 2, 5'),
-        ('11110', '0.1 to 2'),
-        ('00000', 'none'),
-    ):
-        runs = pd.DataFrame(
-            {'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'good': [*map(int, flags)]}
-        )
-        assert list_good_values(runs.astype({'good': bool}), 'k', 'good') == values
     frame['law'] = ['pi', 'dob'] * 3
     frame.attrs['factors'] = [*frame.attrs['factors'], 'law']
     config = StudyConfig(name='s', scenario='step', symbols={'k': 'k_s'})
@@ -161,28 +159,33 @@ def test_sentences_tell_where_all_runs_are_good(frame):
     ]
 
 
-def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
+def contact_evidence(rms, lost, recovery):
+    """Return what is measured of a contact that is pushed shortly, for long, and in motion."""
     push = {'moving': False, 'duration': 0.1, 'peak': 1.0, 'recovery': 0.2}
+    window = {'rms_n': rms, 'lost': lost, 'variance_n2': None}
+    return {
+        'rest': window,
+        'moving': window,
+        'recoveries': [
+            push,
+            {**push, 'duration': 1.0, 'recovery': recovery},
+            {**push, 'moving': True, 'recovery': 9.0},
+        ],
+    }
+
+
+def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
     evidence = {
         'unstable_after_motion_s': None,
         'contacts': {
-            name: {
-                **dict.fromkeys(
-                    ('rest', 'moving'),
-                    {'rms_n': rms, 'lost': lost, 'variance_n2': None},
-                ),
-                'recoveries': [
-                    push,
-                    {**push, 'duration': 1.0, 'recovery': recovery},
-                    {**push, 'moving': True, 'recovery': 9.0},
-                ],
-            }
-            for name, rms, lost, recovery in (
-                ('a', 0.1, 0.0, 0.3),
-                ('b', 0.2, None, None),
-            )
+            'a': contact_evidence(0.1, 0.0, 0.3),
+            'b': contact_evidence(0.2, None, None),
         },
     }
+    steps = [
+        {'rise_63_s': None, 'overshoot_percent': 3.0},
+        {'rise_63_s': 0.1, 'overshoot_percent': 1.0},
+    ]
     summary = {
         'stable': False,
         'verdict': 'not stable',
@@ -190,24 +193,10 @@ def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
         'ended_early': '',
         'ticks': 50,
         'timing': {'tick_us': 3.0},
-        'contacts': {
-            'a': {
-                'rest': {'true_error_rms_n': 0.1},
-                'steps': [
-                    {'rise_63_s': None, 'overshoot_percent': 3.0},
-                    {'rise_63_s': 0.1, 'overshoot_percent': 1.0},
-                ],
-            }
-        },
+        'contacts': {'a': {'rest': {'true_error_rms_n': 0.1}, 'steps': steps}},
     }
-    row = metrics_row(
-        {
-            'summary': summary,
-            'evidence': evidence,
-            'error': None,
-            'final_error_share': 0.05,
-        }
-    )
+    run = {'summary': summary, 'evidence': evidence, 'error': None}
+    row = metrics_row({**run, 'final_error_share': 0.05})
     expected = {
         'stable': False,
         'settled': True,
@@ -224,51 +213,59 @@ def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
         'ticks': 50,
         'contacts.a.rest.true_error_rms_n': 0.1,
     }
-    assert {name: row[name] for name in expected} == expected
-    assert not [name for name in row if 'timing' in name or 'steps' in name]
-    failed = metrics_row({'summary': None, 'error': 'ZeroDivisionError: x'})
-    assert failed['error'] == 'ZeroDivisionError: x' and not failed['stable']
+    assert row == row | expected
+    columns = ' '.join(row)
+    assert 'timing' not in columns
+    assert 'steps' not in columns
 
 
-@pytest.mark.slow
-def test_changed_study_runs_what_is_missing_and_failures_are_rows(
-    tmp_path, monkeypatch
-):
-    path, out = tmp_path / 'small.yaml', tmp_path / 'out'
-    real = closed_loop.run_in_process
+def test_row_of_a_run_that_failed_has_its_error_and_is_not_stable():
+    row = metrics_row({'summary': None, 'error': 'ZeroDivisionError: x'})
+    assert row['error'] == 'ZeroDivisionError: x'
+    assert not row['stable']
 
-    def fail(setup, **options):
+
+@pytest.fixture(name='run')
+def fixture_run(tmp_path, monkeypatch):
+    """Return what runs the study with some seeds, fails at the high stiffness, and shows it."""
+    path = tmp_path / 'small.yaml'
+    run_in_process = closed_loop.run_in_process
+
+    def fail_when_stiff(setup, **options):
         if setup.plant.surfaces['table'].stiffness == 6.0e5:
             raise ZeroDivisionError('in the law')
-        return real(setup, **options)
+        return run_in_process(setup, **options)
 
     def run(seeds, **options):
         path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
+        study = make_study(apply_choices(read_study(str(path)), {}))
         shown = io.StringIO()
-        run_study(
-            make_study(apply_choices(read_study(str(path)), {})),
-            out,
-            jobs=1,
-            console=Console(file=shown, width=160),
-            **options,
-        )
+        console = Console(file=shown, width=160)
+        run_study(study, tmp_path / 'out', jobs=1, console=console, **options)
         return shown.getvalue()
 
-    monkeypatch.setattr(closed_loop, 'run_in_process', fail)
-    assert 'seed: 0' in run(1, dry_run=True) and not out.exists()
+    monkeypatch.setattr(closed_loop, 'run_in_process', fail_when_stiff)
+    return run
+
+
+@pytest.mark.slow
+def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, run):
+    out = tmp_path / 'out'
+    assert 'seed: 0' in run(1, dry_run=True)
+    assert not out.exists()
     assert '2 jobs, 0 of them finished' in run(1)
     frame = pd.read_parquet(out / 'study.parquet')
     assert frame['error'].fillna('').tolist() == ['', 'ZeroDivisionError: in the law']
     assert frame['stable'].tolist() == [True, False]
     assert frame.attrs['units']['plant.surfaces.*.stiffness'] == 'N/m'
-    text = run(2)
-    assert '4 jobs, 2 of them finished' in text and 'in the law' in text
-    table = (out / 'study.csv').read_bytes(), (out / 'study.parquet').read_bytes()
-    assert '4 jobs, 4 of them finished' in run(2)
-    assert table == (
-        (out / 'study.csv').read_bytes(),
-        (out / 'study.parquet').read_bytes(),
-    )
-    assert {each.name for each in out.iterdir()} == FILES
+    shown = run(2)
+    assert '4 jobs, 2 of them finished' in shown
+    assert 'in the law' in shown
     frame = pd.read_parquet(out / 'study.parquet')
-    assert len(frame) == 4 and frame['trajectory_sha256'].nunique() == 2
+    assert len(frame) == 4
+    assert frame['trajectory_sha256'].nunique() == 2
+    tables = [out / 'study.csv', out / 'study.parquet']
+    before = [table.read_bytes() for table in tables]
+    assert '4 jobs, 4 of them finished' in run(2)
+    assert before == [table.read_bytes() for table in tables]
+    assert {path.name for path in out.iterdir()} == FILES

@@ -7,7 +7,7 @@ from browser import Tab
 from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
-from multicontact_control.view.run import started
+from multicontact_control.view.run import start_simulated_graph
 import numpy as np
 import pytest
 from ros_graph import wait_for
@@ -23,20 +23,22 @@ window.requestAnimationFrame = callback => setTimeout(() => draw(callback), 500)
 
 @pytest.fixture
 def page():
-    """Show a graph that was started for it on a page."""
+    """Show a graph that was start_simulated_graph for it on a page."""
     from multicontact_control.view.page import Page
 
     with reserve_domain() as domain_id, ExitStack() as stack:
         shown = stack.enter_context(
             closing(
-                started(
+                start_simulated_graph(
                     resolve('paper', plant='rigid'), None, domain_id, stack, (), print
                 )
             )
         )
         page = stack.enter_context(closing(Page(shown, 8481)))
         stop = threading.Event()
-        thread = threading.Thread(target=page.run, args=(stop.is_set,), daemon=True)
+        thread = threading.Thread(
+            target=page.run_until, args=(stop.is_set,), daemon=True
+        )
         thread.start()
         yield page
         stop.set()
@@ -46,13 +48,13 @@ def page():
 @pytest.fixture
 def given(page, monkeypatch):
     """Return the forces that the page commands, as it goes on."""
-    forces, command = [], page.source.command
+    forces, command = [], page.source.give_command
 
     def record(name, /, **values):
         forces.extend([values] if name == source.FORCES else [])
         return command(name, **values)
 
-    monkeypatch.setattr(page.source, 'command', record)
+    monkeypatch.setattr(page.source, 'give_command', record)
     return forces
 
 

@@ -12,7 +12,7 @@ from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.graph import GraphSource
-from multicontact_control.view.streams import Stream
+from multicontact_control.view.streams import EffortStream
 import numpy as np
 import pytest
 from robots import robot_parameters
@@ -41,7 +41,7 @@ def shown(domain):
 
 def until(shown, condition, what):
     """Return the first snapshot of which a condition is true."""
-    return wait_for(lambda: next(filter(condition, shown.poll()), None), what)
+    return wait_for(lambda: next(filter(condition, shown.take_snapshots()), None), what)
 
 
 def test_graph_source_joins_presses_moves_and_tunes(shown):
@@ -54,7 +54,7 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
         np.testing.assert_allclose(
             patch.vertices[patch.faces], expected.vertices[expected.faces], atol=1e-12
         )
-    shown.command(source.FORCES, table=8.0, board=6.0)
+    shown.give_command(source.FORCES, table=8.0, board=6.0)
     events = []
     innovations = []
 
@@ -84,25 +84,25 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
         ),
         'points of the curves',
     )
-    shown.command(source.JOG, offset=[0.02, 0.0, 0.0])
+    shown.give_command(source.JOG, offset=[0.02, 0.0, 0.0])
     until(
         shown, lambda snapshot: snapshot.position_des[0] > start[0] + 0.0199, 'the jog'
     )
     until(shown, lambda snapshot: snapshot.moving == '', 'rest')
     gains = dict(zip(source.GAIN_NAMES, (25.0, 0.03, 60.0)))
-    shown.command(source.GAINS, **gains)
+    shown.give_command(source.GAINS, **gains)
     assert until(shown, lambda snapshot: snapshot.gains == gains, 'the gains')
 
 
 def test_surface_and_push_change_the_simulated_world(shown):
     before = until(shown, lambda snapshot: snapshot.moving == '', 'rest')
     assert before.surfaces == shown.scene.simulated
-    shown.command(source.SURFACE, name='table', stiffness=9000.0, friction=0.3)
+    shown.give_command(source.SURFACE, name='table', stiffness=9000.0, friction=0.3)
     assert until(shown, bool, 'a snapshot').surfaces['table'] == (9000.0, 0.3)
     until(
         shown,
         lambda snapshot: (
-            shown.command(source.PUSH, force=[8.0, 0.0, 0.0], tool=False)
+            shown.give_command(source.PUSH, force=[8.0, 0.0, 0.0], tool=False)
             or snapshot.position[0] > before.position[0] + 2e-4
         ),
         'the push',
@@ -115,7 +115,7 @@ def test_surface_and_push_change_the_simulated_world(shown):
 
 
 def test_another_client_is_shown_and_ends_a_motion(shown, domain):
-    shown.command(source.PATTERN, axis='x', amplitude=0.03, period=2.0)
+    shown.give_command(source.PATTERN, axis='x', amplitude=0.03, period=2.0)
     until(shown, lambda snapshot: snapshot.moving, 'the pattern')
     with MultiContactClient('arm', domain_id=domain, timeout=PATIENCE) as other:
         other.set_forces(forces := {'table': 7.0, 'board': 5.0})
@@ -131,7 +131,7 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
             'the hold',
         )
         with pytest.raises(MulticontactError, match='hold: the arm is held'):
-            shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
+            shown.give_command(source.JOG, offset=[0.01, 0.0, 0.0])
         refused = joint_state_message(0, ['table'], effort=[9.0])
         for _ in range(2):  # as a command whose answer is late is resent
             wait_for(
@@ -166,13 +166,13 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
 
 
 def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
-    shown.command(source.FORCES, table=0.0, board=0.0)
+    shown.give_command(source.FORCES, table=0.0, board=0.0)
     events, first = (
         [],
         until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom'),
     )
     until(shown, lambda snapshot: snapshot.time > first.time + 3.0, 'the way back')
-    shown.command(source.PUSH_TEST)
+    shown.give_command(source.PUSH_TEST)
 
     def gather(snapshot):
         events.extend(text for _, text in snapshot.events)
@@ -184,11 +184,11 @@ def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
         (source.HOLD, {'on': True}),
     ):
         with pytest.raises(MulticontactError, match='~/push_test: pass it first'):
-            shown.command(command, **values)
-    assert shown.command(source.CANCEL_PUSH_TEST) == 'push test cancelled'
+            shown.give_command(command, **values)
+    assert shown.give_command(source.CANCEL_PUSH_TEST) == 'push test cancelled'
     with pytest.raises(MulticontactError, match='none is under way'):
-        shown.command(source.CANCEL_PUSH_TEST)
-    shown.command(source.FORCES, table=8.0)
+        shown.give_command(source.CANCEL_PUSH_TEST)
+    shown.give_command(source.FORCES, table=8.0)
     until(shown, lambda snapshot: gather(snapshot).states[0] == 'holding', 'the table')
     refusals = [text for text in events if 'refused' in text]
     for part in (
@@ -203,8 +203,8 @@ def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
 def test_stream_has_the_extremes_of_every_message_since_they_were_asked_for():
     with reserve_domain() as domain_id, ServiceClientNode('sender', domain_id) as guest:
         publisher = create_publisher(guest.node, topics.MEASURED_FORCES)
-        stream = Stream(guest.node, topics.MEASURED_FORCES, ('table', 'board'))
-        assert np.isnan(stream.extremes()).all()
+        stream = EffortStream(guest.node, topics.MEASURED_FORCES, ('table', 'board'))
+        assert np.isnan(stream.take_extremes()).all()
         wait_for(publisher.get_subscription_count, 'a connection')
         for k, force in enumerate([20.0, -20.0, 3.0, 5.0]):
             publisher.publish(
@@ -212,11 +212,14 @@ def test_stream_has_the_extremes_of_every_message_since_they_were_asked_for():
                     PERIOD * k, ['other', 'board'], effort=[99.0, force]
                 )
             )
-        wait_for(lambda: stream.look() or stream.newest[1] == 5.0, 'the last message')
-        np.testing.assert_array_equal(
-            stream.extremes(), [[np.nan, -20.0], [np.nan, 20.0]]
+        wait_for(
+            lambda: stream.take_messages() or stream.newest[1] == 5.0,
+            'the last message',
         )
-        np.testing.assert_array_equal(stream.extremes(), [[np.nan, 5.0]] * 2)
+        np.testing.assert_array_equal(
+            stream.take_extremes(), [[np.nan, -20.0], [np.nan, 20.0]]
+        )
+        np.testing.assert_array_equal(stream.take_extremes(), [[np.nan, 5.0]] * 2)
 
 
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))

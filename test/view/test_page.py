@@ -13,7 +13,7 @@ from multicontact_control.errors import CommandError, RunError
 from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
-from multicontact_control.view.source import Scene, surfaces_of
+from multicontact_control.view.source import list_simulated_surfaces, Scene
 import pytest
 from ros_graph import start_command
 
@@ -29,11 +29,11 @@ class Silent:
     def __init__(self):
         setup = resolve('paper')
         self.scene = Scene(
-            'nothing', setup.controller, setup.urdf_dir, surfaces_of(setup)
+            'nothing', setup.controller, setup.urdf_dir, list_simulated_surfaces(setup)
         )
-        self.given, self.poll = [], list
+        self.given, self.take_snapshots = [], list
 
-    def command(self, name, /, **values):
+    def give_command(self, name, /, **values):
         if name == source.TARE:
             raise CommandError('contacts', 'none', '<some>')
         self.given.append((name, values))
@@ -79,15 +79,15 @@ def test_page_is_served_to_this_machine_only_and_holds_the_scene(page):
 def test_page_gives_the_last_command_of_an_element_and_shows_refusals_and_the_end(page):
     slider = object()
     for force in (3.0, 4.0):
-        page.requests.add(slider, source.FORCES, table=force)
-    page.requests.add(None, source.TARE)
-    page.update()
+        page.requests.request_command(slider, source.FORCES, table=force)
+    page.requests.request_command(None, source.TARE)
+    page.update_page()
     assert 'done' in page.answer.content
-    page.update()
+    page.update_page()
     assert 'expected none, got &lt;some&gt;' in page.answer.content
     assert page.source.given == [(source.FORCES, {'table': 4.0})]
-    page.source.poll = Mock(side_effect=RunError('sim_node ended: <killed>'))
-    page.update()
+    page.source.take_snapshots = Mock(side_effect=RunError('sim_node ended: <killed>'))
+    page.update_page()
     assert (
         page.ended == 'sim_node ended: <killed>'
         and '&lt;killed&gt;' in page.status.content

@@ -51,35 +51,35 @@ def replay(recorded_run, clock):
 
 
 def seek(replay, moment):
-    replay.command(source.PLAY, on=False)
-    replay.command(source.SEEK, time=moment)
-    return replay.poll()[-1]
+    replay.give_command(source.PLAY, on=False)
+    replay.give_command(source.SEEK, time=moment)
+    return replay.take_snapshots()[-1]
 
 
 def test_replay_plays_pauses_and_begins_anew(replay, recorded_run, clock):
     data = RunData.load(recorded_run)
-    replay.command(source.PLAY, on=True)
+    replay.give_command(source.PLAY, on=True)
     clock.now += 0.5
-    (snapshot,) = replay.poll()
+    (snapshot,) = replay.take_snapshots()
     assert snapshot.time == pytest.approx(0.5) and snapshot.playing
     np.testing.assert_array_equal(snapshot.q, data.q[250])
     np.testing.assert_array_equal(snapshot.measured, data.alpha_meas[250])
     np.testing.assert_array_equal(snapshot.true, data.alpha_true[250])
-    replay.command(source.SPEED, factor=2.0)
+    replay.give_command(source.SPEED, factor=2.0)
     clock.now += 0.5
-    assert replay.poll()[0].time == pytest.approx(1.5)
-    replay.command(source.PLAY, on=False)
+    assert replay.take_snapshots()[0].time == pytest.approx(1.5)
+    replay.give_command(source.PLAY, on=False)
     clock.now += 10.0
-    (snapshot,) = replay.poll()
+    (snapshot,) = replay.take_snapshots()
     assert snapshot.time == pytest.approx(1.5) and not snapshot.playing
-    assert replay.poll() == [], 'nothing has changed'
-    replay.command(source.PLAY, on=True)
+    assert replay.take_snapshots() == [], 'nothing has changed'
+    replay.give_command(source.PLAY, on=True)
     clock.now += 10.0
-    (snapshot,) = replay.poll()
+    (snapshot,) = replay.take_snapshots()
     assert snapshot.time == replay.scene.duration and not snapshot.playing
     np.testing.assert_array_equal(snapshot.q, data.q[-1])
-    replay.command(source.PLAY, on=True)
-    assert replay.poll()[0].time == pytest.approx(0.0)
+    replay.give_command(source.PLAY, on=True)
+    assert replay.take_snapshots()[0].time == pytest.approx(0.0)
 
 
 def test_page_plays_a_recording_from_the_first_browser_to_its_end(
@@ -89,7 +89,7 @@ def test_page_plays_a_recording_from_the_first_browser_to_its_end(
         'multicontact_control.view.page', reason='needs viser'
     )
     with closing(page_module.Page(replay, 8472)) as page:
-        page.update()
+        page.update_page()
         monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
         for wait, moment, playing in (
             (30.0, 0.0, False),
@@ -98,7 +98,7 @@ def test_page_plays_a_recording_from_the_first_browser_to_its_end(
             (30.0, replay.scene.duration, False),
         ):
             clock.now += wait
-            page.update()
+            page.update_page()
             assert (page.newest.time, page.newest.playing) == (
                 pytest.approx(moment),
                 playing,
@@ -112,13 +112,13 @@ def test_page_lists_each_event_once_however_often_it_is_sought(replay, monkeypat
     with closing(page_module.Page(replay, 8473)) as page:
         monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
         for _ in range(2):  # it begins to play
-            page.update()
-        replay.command(source.PLAY, on=False)
+            page.update_page()
+        replay.give_command(source.PLAY, on=False)
         for moment in (1.0, 2.5, 3.0, 2.0, 6.0, 9.0):
-            replay.command(source.SEEK, time=moment)
-            page.update()
+            replay.give_command(source.SEEK, time=moment)
+            page.update_page()
             told = [mark for mark in replay.scene.marks if mark[0] <= moment]
-            assert [*page._events] == told[-page_module.LISTED :]
+            assert [*page._events] == told[-page_module.LISTED_EVENTS :]
 
 
 def test_seek_shows_states_events_and_curves_of_then(replay):
@@ -140,7 +140,7 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
     assert snapshot.states[0] in ('impact', 'holding')
     assert any(moment == touched for moment, _ in snapshot.events)
     with pytest.raises(CommandError, match='time: expected 0 to 14.998 s, got 90 s'):
-        replay.command(source.SEEK, time=90.0)
+        replay.give_command(source.SEEK, time=90.0)
 
 
 def test_replay_shows_what_happens_at_one_sample_in_its_order(replay, recorded_run):

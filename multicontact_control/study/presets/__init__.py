@@ -19,5 +19,10 @@ KINDS = {
 
 
 def make_study(config: StudyConfig) -> Study:
-    """Return the study of a configuration, with what its kind has beside the file."""
+    """
+    Return the study of a configuration, with what its kind has beside the file.
+
+    Kinds without code of their own are plain sweeps. Importing this module imports every kind,
+    with matplotlib and the commissioning tools that some of them draw on.
+    """
     return KINDS[config.kind](config)

@@ -10,10 +10,20 @@ LIKE_THE_PAPER = ('active state', 'K_2')  # parts
 
 
 class CompareStudy(Study):
-    """Noise estimators compared; the claims of the paper are judged over K_2 on every plant."""
+    """
+    Noise estimators compared; the claims of the paper are judged over K_2 on every plant.
+
+    The paper leaves K_2 open, and some claims change their verdict over it (docs/findings.md): so
+    the verdicts stand side by side.
+    """
 
     def describe_findings(self, results: Results) -> list[str]:
-        """Return what every study finds, and how many claims agree with each K_2."""
+        """
+        Return what every study finds, and how many claims agree with each K_2.
+
+        Claims that no run can tell are left out of both counts, so a sentence may say 9 of 11
+        where the paper makes 13.
+        """
         sentences = super().describe_findings(results)
         for plant, claims_by_rate in judge_comparison(results).items():
             counts = []
@@ -29,7 +39,12 @@ class CompareStudy(Study):
         return sentences
 
     def further_sections(self, results: Results) -> dict[str, str]:
-        """Return a table of the claims on each plant, with a column for each value of K_2."""
+        """
+        Return a table of the claims on each plant, with a column for each value of K_2.
+
+        The heading names the plant; the tables are HTML of `render_claims`, with what was measured
+        beside what is expected.
+        """
         sections = {}
         for plant, claims_by_rate in judge_comparison(results).items():
             columns = {
@@ -45,7 +60,8 @@ def judge_comparison(results: Results) -> dict[str, dict[float, list[Claim]]]:
     Judge the paper's claims by plant and K_2 [1/s].
 
     Each is judged by the first run with the paper's estimator and an active state, beside the
-    evidence of all runs.
+    evidence of all runs, of which `judge_claims` takes those of the same plant and K_2. Runs that
+    ended with an error have no evidence and tell nothing.
     """
     runs = []
     for _, row in results.frame.iterrows():

@@ -45,7 +45,12 @@ Names = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class FaultJob:
-    """Some faults in one phase of a scenario, each in the state that the run has come to there."""
+    """
+    Some faults in one phase of a scenario, each in the state that the run has come to there.
+
+    The way there takes up to 8.2 s of the simulation, a fault 1.2 s: so a job goes there once for
+    up to 12 of them, and each happens in a fork of the process.
+    """
 
     scenario: str
     plant: str
@@ -54,16 +59,31 @@ class FaultJob:
     faults: tuple[tuple[Names, int], ...]  # with their seeds
 
     def setup(self) -> Setup:
-        """Return the scenario in which they happen, with obstacles far away."""
+        """
+        Return the scenario in which they happen, with obstacles far away.
+
+        Its seed is the study's first for all jobs: seeds of faults decide only on their own
+        details.
+        """
         return resolve_with_obstacles(self.scenario, self.plant, self.first_seed)
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; see `outcome_key`."""
+        """
+        Return the hash of all that decides the outcome; see `outcome_key`.
+
+        These are the setup, the time at which the phase begins, and the names and seeds of the
+        faults.
+        """
         time = PHASE_TIMES[self.phase]
         return outcome_key('faults', self.setup(), time=time, job=asdict(self))
 
     def run(self) -> dict[str, Any]:
-        """Run the faults; a row for each is under `rows`."""
+        """
+        Run the faults; a row for each is under `rows`, in the order of `faults`.
+
+        The world of the plant is brought to the phase first, and left there for the next job of
+        this process.
+        """
         world = _advance_world(self)
         rows = []
         for names, seed in self.faults:
@@ -96,7 +116,8 @@ def run_in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> Fault
     """
     Run a fault in a copy of this process, which leaves the world as it is.
 
-    A copy that hangs or dies is not safe.
+    So the next fault finds the same state, without running up to it again. A copy that hangs for
+    60 s or dies is not safe: its row has the reaction `died` and no figures.
     """
     ours, theirs = Pipe(duplex=False)
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
@@ -143,7 +164,12 @@ class FaultsStudy(Study):
     """
 
     def plan_cells(self) -> list[Cell]:
-        """Return the jobs, early phases first, and the faults of a phase on a plant in some."""
+        """
+        Return the jobs, early phases first, and the faults of a phase on a plant in some.
+
+        A worker that takes them in this order goes on with its world from phase to phase and
+        begins anew only where it must.
+        """
         (part,) = self.config.parts.values()
         first_seed = part.seeds[0]
         faults_by_place = self._spread_faults(part)
@@ -185,11 +211,21 @@ class FaultsStudy(Study):
         return faults_by_place
 
     def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:
-        """Return a row for each fault of a job; see `FaultRow`."""
+        """
+        Return a row for each fault of a job; see `FaultRow`.
+
+        A time that is infinite has become None on its way through JSON, and `complete_table` makes
+        it infinite again.
+        """
         return list(metrics['rows'])
 
     def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows by kind and seed, those of pairs last; what never came is infinite."""
+        """
+        Return the rows by kind and seed, those of pairs last; what never came is infinite.
+
+        The problems of a fault, or else its shortfalls, are the `error` of its row, which the page
+        lists as a remark; `back` is false with a shortfall.
+        """
         order = {name: place for place, name in enumerate(FAULTS)}
         names = zip(frame['kind'], frame['input'])
         problems = frame['problems'].where(frame['problems'] != '', frame['shortfalls'])

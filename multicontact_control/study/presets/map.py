@@ -31,7 +31,12 @@ RATIO, DELAY = 'true / model stiffness', 'plant.actuator_delay_ticks'
 
 
 class LinearLoop(NamedTuple):
-    """A linear loop whose boundary of stability is drawn beside the simulated runs."""
+    """
+    A linear loop whose boundary of stability is drawn beside the simulated runs.
+
+    The observer's gain goes with R, so the boundary does: it is drawn for an R as at rest and one
+    as in motion.
+    """
 
     name: str
     noise_variance: float  # R that is held, as at rest or in motion [N^2]
@@ -39,7 +44,12 @@ class LinearLoop(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return what sentences and the figure call it."""
+        """
+        What sentences and the figure call it.
+
+        Name and R [N^2] together: two of the `LINEAR_LOOPS` have one name. It is also the key of
+        the loop's boundaries.
+        """
         return f'{self.name} (R = {self.noise_variance:g} N²)'
 
 
@@ -59,11 +69,16 @@ class MapStudy(Study):
     """
     Overshoots over true by modelled stiffness, and delay of the actuator.
 
-    Beside the simulated runs stand the boundaries at which the linear loops become unstable.
+    Beside the simulated runs stand the boundaries at which the linear loops become unstable; these
+    have neither noise nor friction, torque limits or a supervisor.
     """
 
     def describe_findings(self, results: Results) -> list[str]:
-        """Return where runs settle, and the boundaries of the linear loops."""
+        """
+        Return where runs settle, and the boundaries of the linear loops.
+
+        A loop that is stable over the whole range is given with the range's end, a ratio of 100.
+        """
         sentences = super().describe_findings(results)
         for plant, boundaries in linear_boundaries(results).items():
             for name, ratios in boundaries.items():
@@ -78,7 +93,12 @@ class MapStudy(Study):
         return sentences
 
     def draw_figure(self, results: Results) -> Figure:
-        """Return the map of overshoots, a panel for each plant and estimator."""
+        """
+        Return the map of overshoots, a panel for each plant and estimator.
+
+        Colours are logarithmic from 1 to 300 %; a cross marks a run that did not settle, and steps
+        of lines are the boundaries, one for each delay.
+        """
         groups = list(results.frame.groupby(['plant', 'estimator'], sort=False))
         columns = min(results.frame['estimator'].nunique(), 4)
         rows = math.ceil(len(groups) / columns)
@@ -106,7 +126,13 @@ class MapStudy(Study):
 
 @lru_cache(maxsize=1)  # sentences and figure of a study show the same
 def linear_boundaries(results: Results) -> Mapping[str, Boundaries]:
-    """Return the boundaries of the `LINEAR_LOOPS` by plant, label and delay of the actuator."""
+    """
+    Return the boundaries of the `LINEAR_LOOPS` by plant, label and delay of the actuator.
+
+    A boundary is the largest ratio of true and modelled stiffness at which the loop is stable. One
+    cell of each plant and delay is enough, since no other factor enters the loop. The last answer
+    is kept.
+    """
     by_plant: dict[str, dict[str, dict[int, float]]] = {}
     cells = {
         (cell.factors['plant'], cell.factors[DELAY]): cell for cell in results.cells
@@ -169,6 +195,9 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
 class ArmLoop:
     """
     The linear force loops of a setup's arm at its plant's home, with its tool and surfaces.
+
+    Its plant is the mobility N^T J M^-1 J^T N [1/kg] with springs and dampers at the contacts, and
+    the mass that hangs beyond the sensor. Friction, limits and the motion are not in it.
 
     Raises
     ------
@@ -234,6 +263,7 @@ class ArmLoop:
         whole_delay = round(self.delay / period) * period
 
         def is_stable(ratio: float) -> bool:
+            """Return whether all eigenvalues of the closed loop lie within the unit circle."""
             if of_paper:
                 loop = closed_loop_matrix(law, model, ratio)
             else:

@@ -36,31 +36,61 @@ SECTION = 'situation.'  # of the names of a situation's own parameters
 
 @dataclass(frozen=True)
 class SituationJob:
-    """One situation of one arm, from the start of a scenario to its end."""
+    """
+    One situation of one arm, from the start of a scenario to its end.
+
+    Its fields are plain values, so that it can be pickled, written down and hashed; the situation
+    is read from them anew.
+    """
 
     what: str  # the situation in words
     arguments: Mapping[str, Any]  # of `resolve`; the robot may be `FOREIGN`
     situation: Mapping[str, Any]  # values of a `SituationConfig`
 
     def setup(self) -> Setup:
-        """Return the setup of the run."""
+        """
+        Return the setup of the run, without its course.
+
+        Raises
+        ------
+        ConfigError
+            If a value of the situation, or what follows from it, is not acceptable.
+
+        """
         setup, _ = resolve_situation(self.arguments, read_situation(self.situation))
         return setup
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; see `outcome_key`."""
+        """
+        Return the hash of all that decides the outcome; see `outcome_key`.
+
+        The situation enters with all defaults: bias, payload and timing of commands are no part of
+        the setup.
+        """
         situation = read_situation(self.situation).model_dump(mode='json')
         return outcome_key('situation', self.setup(), situation=situation)
 
     def run(self) -> dict[str, Any]:
-        """Run it and return its row; see `SituationRow`."""
+        """
+        Run it and return its row as a mapping; see `SituationRow`.
+
+        A run that breaks off is a row that is not safe, and no exception.
+        """
         situation = read_situation(self.situation)
         setup, course = resolve_situation(self.arguments, situation)
         return asdict(run_situation(self.what, setup, course, situation))
 
 
 def read_situation(values: Mapping[str, Any]) -> SituationConfig:
-    """Return a situation from values of its parameters; ConfigError if one is not acceptable."""
+    """
+    Return a situation from values of its parameters, without the prefix ``situation.``.
+
+    Raises
+    ------
+    ConfigError
+        If one is unknown or not acceptable; it is named below `situation`.
+
+    """
     return validate(SituationConfig, values, 'situation')
 
 
@@ -68,7 +98,8 @@ class SituationsStudy(Study):
     """
     Every combination of situations on every arm that is installed.
 
-    Each has one of the study's seeds, in turn: with a single one, a share of them is run.
+    Each has one of the study's seeds, in turn: with a single one, a share of them is run. The turn
+    is a hash of the combination's name, so that a new combination leaves the others theirs.
     """
 
     def __init__(self, config: StudyConfig) -> None:
@@ -76,7 +107,12 @@ class SituationsStudy(Study):
         self.missing: dict[str, str] = {}  # robots that are not installed, and why
 
     def plan_cells(self) -> list[Cell]:
-        """Return the jobs whose seed is chosen, of robots that have what a situation takes."""
+        """
+        Return the jobs whose seed is chosen, of robots that have what a situation takes.
+
+        What a robot lacks (a plant, contacts, a joint) is left out without a word; a robot that is
+        not installed is noted in `missing`.
+        """
         cells: list[Cell] = []
         for title, part in self.config.parts.items():
             for combination in combine_factors(part):
@@ -129,16 +165,30 @@ class SituationsStudy(Study):
         return means.allow(plant, read_situation(situation))
 
     def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:
-        """Return the row of a situation; see `SituationRow`."""
+        """
+        Return the row of a situation; see `SituationRow`.
+
+        A job measures nothing else, so its metrics are the row.
+        """
         return [dict(metrics)]
 
     def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the table with what went wrong, and in what, as the `error` of a row."""
+        """
+        Return the table with what went wrong, and in what, as the `error` of a row.
+
+        `error` is None where nothing did. The page then lists each as a remark in the situation's
+        own words.
+        """
         error = frame['what'] + ': ' + frame['problems']
         return frame.assign(error=error.where(frame['problems'] != '', None))
 
     def describe_findings(self, results: Results) -> list[str]:
-        """Return how many situations are safe, what is wrong in the others, and what is absent."""
+        """
+        Return how many situations are safe, what is wrong in the others, and what is absent.
+
+        Problems are counted one by one, the commonest first: a run with two of them counts for
+        both.
+        """
         frame = results.frame
         finding = f'{int(frame["safe"].sum())} of {len(frame)} situations are safe'
         problems = frame['problems'].str.split(', ').explode()

@@ -32,7 +32,12 @@ SCALES = {
 
 
 def cost_of_run(row: Mapping[str, Any]) -> float:
-    """Return the sum of a run's figures over their scales; infinite if it is not stable."""
+    """
+    Return the sum of a run's figures over their scales; infinite if it is not stable.
+
+    A run without one of the figures costs infinitely much, too. Each scale is what the best laws
+    reach, so that no figure outweighs the others (docs/force_laws.md).
+    """
     total = float(sum(row[name] / scale for name, scale in SCALES.items()))
     if not row['stable'] or math.isnan(total):
         return math.inf
@@ -43,7 +48,8 @@ class TuneStudy(Study):
     """
     Every combination of a law's declared gains, on one seed; the best are judged on others.
 
-    The gains and their values are those of ``tuning.yaml``.
+    The gains and their values are those of ``tuning.yaml``, laid over the law's preset, in every
+    part of the study. The best is the combination whose worst plant costs least.
     """
 
     def __init__(self, config: StudyConfig) -> None:
@@ -68,7 +74,12 @@ class TuneStudy(Study):
         )
 
     def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the table with the cost of each run, by that of the worst plant, least first."""
+        """
+        Return the table with the cost of each run, by that of the worst plant, least first.
+
+        So the first row has the best gains. Runs on other seeds come last, where they cannot
+        decide.
+        """
         rows = frame[['stable', *SCALES]].astype(float).to_dict('records')
         frame = frame.assign(cost=[cost_of_run(row) for row in rows])
         gains = frame.groupby(['part', *self.gains])
@@ -84,7 +95,12 @@ class TuneStudy(Study):
         return best if (runs['cost'] < math.inf).all() else None
 
     def plan_further_cells(self, results: Results) -> list[Cell]:
-        """Return the runs of the best combination on other seeds, none if it is not stable."""
+        """
+        Return the runs of the best combination on other seeds, none if it is not stable.
+
+        A gain that is best for one realisation of the noise alone shows there. They run on every
+        plant, with seeds 1, 2 and 3.
+        """
         best = self._best_gains(results.frame)
         cells = []
         for factors, job, _ in results.cells:
@@ -96,7 +112,12 @@ class TuneStudy(Study):
         return cells
 
     def write_files(self, results: Results, folder: Path) -> None:
-        """Write the best gains as a parameter file, beside the files of every study."""
+        """
+        Write the best gains as a parameter file, beside the files of every study.
+
+        It is the law's preset with the gains laid over it, `<law>.yaml`, which `--preset` takes as
+        a path. Without a stable combination there is none.
+        """
         super().write_files(results, folder)
         best = self._best_gains(results.frame)
         if best is None:
@@ -112,7 +133,12 @@ class TuneStudy(Study):
         )
 
     def describe_findings(self, results: Results) -> list[str]:
-        """Return what the best gains are, and what every study finds."""
+        """
+        Return what the best gains are, and what every study finds.
+
+        Without a combination whose runs are all stable, and have all figures of `SCALES`, the
+        sentence says so instead.
+        """
         best = self._best_gains(results.frame)
         law = self.config.law
         if best is None:
