@@ -46,7 +46,7 @@ class Placement:
 
     @property
     def transform(self) -> pin.SE3:
-        """The same as pinocchio's transform, which takes points of the frame to the other one."""
+        """Return pinocchio's transform, which takes points of the frame to the other one."""
         return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), np.array(self.position))
 
 

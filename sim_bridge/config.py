@@ -303,7 +303,7 @@ class PlantConfig(Config):
     @property
     def columns(self) -> dict[str, dict[str, float]]:
         """
-        Forces and couples of the contacts by name, and the normal forces that make them up.
+        Return forces and couples of the contacts by name, and the normal forces that make them up.
 
         Each as the shares of the surfaces' normal forces in it: a couple is the sum of forces
         times offsets, as `ContactConfig` of the controller counts it.

@@ -134,13 +134,13 @@ class Contacts:
 
     @property
     def alpha(self) -> Vector:
-        """True forces and couples of the contacts, as `PlantConfig.columns`, shape (r,) [N]."""
+        """Return true forces and couples, as `PlantConfig.columns`, shape (r,) [N]."""
         forces: Vector = self._shares @ self.pressed
         return forces
 
     @property
     def obstacles(self) -> Vector:
-        """Normal forces on the surfaces that are in the way and no contacts, shape (k,) [N]."""
+        """Return normal forces on the obstacles, shape (k,) [N]."""
         return self.pressed[self._touched :].copy()
 
     def changeable_surface(self, number: int) -> Surface:

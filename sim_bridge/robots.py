@@ -84,7 +84,7 @@ class Robot:
 
     @cached_property
     def arm(self) -> Arm:
-        """The arm with its tool; ConfigError if the URDF does not fit or a limit is unknown."""
+        """Return the arm with its tool; ConfigError: the URDF does not fit, or lacks a limit."""
         file = self.file
         arm = read_robot_arm(find_urdf(file.urdf, self.folder), file)
         links = list(arm.links)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 import re
-from typing import Annotated, Any, get_args, Self, TypeVar
+from typing import Annotated, Any, get_args, TypeVar
 
 from multicontact_control.errors import ConfigError
 from pydantic import (
@@ -90,7 +90,7 @@ class Config(BaseModel):
         yield from ()
 
     @model_validator(mode='after')
-    def _check(self, info: ValidationInfo) -> Self:
+    def _check(self, info: ValidationInfo) -> Config:
         """Let `validate` collect the errors of all models; a constructor raises its own."""
         errors = list(self._cross_field_errors())
         if info.context is not None:

@@ -122,12 +122,12 @@ class RobotModel:
 
     @property
     def joint_count(self) -> int:
-        """The number of joints n."""
+        """Return the number of joints n."""
         return int(self._model.nv)
 
     @property
     def torque_limit(self) -> Vector:
-        """The largest torques of the joints by the URDF, infinite without, shape (n,) [N m]."""
+        """Return the largest torques by the URDF, infinite without, shape (n,) [N m]."""
         limit = np.array(self._model.effortLimit)
         return np.where(limit > 0.0, limit, np.inf)
 

@@ -51,7 +51,7 @@ class Course(NamedTuple):
     @property
     def period(self) -> float:
         """
-        The period of a sinusoid of this amplitude and largest speed [s].
+        Return the period of a sinusoid of this amplitude and largest speed [s].
 
         For an amplitude A and angular frequency omega the largest speed is A omega.
         `situation.motion` `sine` takes the course's distance as amplitude.

@@ -192,7 +192,7 @@ class Fault:
     @property
     def single_faults(self) -> tuple[Fault, ...]:
         """
-        The faults that happen at the same time: those of a pair, or this one alone.
+        Return the faults that happen at the same time: those of a pair, or this one alone.
 
         Readers of a fault's action go through them, since a pair has none of its own.
         """

@@ -100,7 +100,7 @@ class ContactMetrics:
     @property
     def asked_windows(self) -> dict[str, Mask]:
         """
-        The windows `rest` and `moving` as far as the contact is to press.
+        Return the windows `rest` and `moving` as far as the contact is to press.
 
         A contact that is not commanded in a part of the run has no error to be judged by there; of
         a couple its normal force decides.
@@ -132,7 +132,7 @@ class ContactMetrics:
     @cached_property
     def step_responses(self) -> list[StepResponse]:
         """
-        The answers to the steps at rest, each until the next event.
+        Return the answers to the steps at rest, each until the next event.
 
         An answer ends where the force is not known any more. One that is not known for 1 s before
         the next event tells nothing, and is left out.
@@ -215,7 +215,7 @@ class ContactMetrics:
     @property
     def timed_steps(self) -> list[StepResponse]:
         """
-        The answers whose rise is judged: those to steps up.
+        Return the answers whose rise is judged: those to steps up.
 
         Of a run that obeys commands it is that to the largest: a slider makes steps as small as
         the noise.
@@ -228,7 +228,7 @@ class ContactMetrics:
     @property
     def largest_step(self) -> StepResponse | None:
         """
-        The answer to the largest step up, None without any step.
+        Return the answer to the largest step up, None without any step.
 
         It is the one that the summary's numbers are of: the noise counts least in it.
         """

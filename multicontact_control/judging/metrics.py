@@ -30,7 +30,7 @@ class RunMetrics(RunSeries):
     @cached_property
     def contacts(self) -> list[ContactMetrics]:
         """
-        The metrics of each of the r columns of contacts.
+        Return the metrics of each of the r columns of contacts.
 
         A couple of an edge or a plane has metrics of its own, behind those of the normal force of
         its contact.
@@ -77,7 +77,7 @@ class RunMetrics(RunSeries):
     @cached_property
     def least_torque_limit(self) -> Vector:
         """
-        The smaller of the controller's and the drives' limits, shape (n,) [N m], or inf.
+        Return the smaller of the controller's and the drives' limits, shape (n,) [N m], or inf.
 
         A robot behind the topics has the controller's alone: what its drives can give is not known
         here.

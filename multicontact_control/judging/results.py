@@ -70,7 +70,7 @@ class LoadedRun(NamedTuple):
 
     @property
     def metrics(self) -> RunMetrics:
-        """The metrics of the run, made anew."""
+        """Return the metrics of the run, made anew."""
         return RunMetrics(self.data, self.setup)
 
 

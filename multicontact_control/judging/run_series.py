@@ -85,7 +85,7 @@ class RunSeries:
     @cached_property
     def windows(self) -> Windows:
         """
-        The judged stretches, as far as they were recorded.
+        Return the judged stretches, as far as they were recorded.
 
         Of a scenario they are known from its times; of a run that obeys commands they follow from
         what was asked for.
@@ -131,7 +131,7 @@ class RunSeries:
     @cached_property
     def quiet_windows(self) -> dict[str, Mask]:
         """
-        The windows `rest` and `moving` without the pushes and 1 s after each.
+        Return the windows `rest` and `moving` without the pushes and 1 s after each.
 
         Evidence of noise and steady errors is taken from them; `windows` keep the pushes, as a
         user of the arm would feel them.
@@ -148,7 +148,7 @@ class RunSeries:
     @property
     def pushes(self) -> list[Push]:
         """
-        The pushes of the simulated plant, in the order of its configuration.
+        Return the pushes of the simulated plant, in the order of its configuration.
 
         A run of the user's own robot has none that is known.
         """
@@ -158,7 +158,7 @@ class RunSeries:
     @cached_property
     def command(self) -> Matrix:
         """
-        The forces asked for by the scenario or over topics, shape (m, r) [N].
+        Return the forces asked for by the scenario or over topics, shape (m, r) [N].
 
         It jumps with each step, where the desired force alpha_des of the task may ramp up; errors
         are judged against it.
@@ -184,7 +184,7 @@ class RunSeries:
     @cached_property
     def force(self) -> Matrix:
         """
-        The true forces where they are known, else those measured, shape (m, r) [N].
+        Return the true forces where they are known, else those measured, shape (m, r) [N].
 
         A column is the one or the other throughout, as `has_truth` says, and never a mixture.
         """

@@ -62,7 +62,7 @@ class CommandAnswer:
 
     @property
     def event(self) -> str:
-        """The event of the message on ~/status: refused, accepted, or a state without command."""
+        """Return the event on ~/status: refused, accepted, or a state without command."""
         if not self.source:
             return STATE
         return REFUSED if self.refusal else ACCEPTED
@@ -85,7 +85,7 @@ class ReportedState(NamedTuple):
 
     @property
     def reaction(self) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-        """The reaction, its causes, and what exceptions have said."""
+        """Return the reaction, its causes, and what exceptions have said."""
         return self.status.reaction, self.status.causes, self.findings
 
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 from functools import cache, partial
 import os
 import time
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -53,6 +53,7 @@ SERVICE_PERIOD = 0.02  # s, of looking for a service and its answer
 MESSAGE_PERIOD = 0.001  # s, of looking for messages
 
 T = TypeVar('T')
+ClientT = TypeVar('ClientT', bound='ServiceClientNode')
 
 
 class CommandRefusedError(RunError):
@@ -165,7 +166,7 @@ class ServiceClientNode:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
-    def __enter__(self) -> Self:
+    def __enter__(self: ClientT) -> ClientT:
         """Return the client itself."""
         return self
 

@@ -412,7 +412,7 @@ class ControllerStatus:
 
     @property
     def contact_states(self) -> dict[str, str]:
-        """The state of each contact in words, e.g. `holding`, by its name."""
+        """Return the state of each contact in words, e.g. `holding`, by its name."""
         return dict(each.split(' ', 1) for each in _split_list(self.contacts))
 
     @classmethod

@@ -210,14 +210,9 @@ class ParameterSet:
         self, parameters: Sequence[Parameter], get_design: Callable[[], Any]
     ) -> SetParametersResult:
         """
-        Change parameters at once, by the design that has been computed for them.
+        Change all parameters at once, or none, by the design that has been computed for them.
 
-        Parameters
-        ----------
-        parameters
-            The parameters with their new values: all change, or none.
-        get_design
-            Returns what `design_change` has returned for them, or raises what it has raised.
+        `get_design` returns what `design_change` has returned, or raises what it has raised.
 
         """
         self._get_design = get_design

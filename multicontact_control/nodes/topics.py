@@ -48,7 +48,7 @@ class Topic:
 
     @property
     def type_name(self) -> str:
-        """The type as ROS tools write it, e.g. ``sensor_msgs/msg/JointState``."""
+        """Return the type as ROS tools write it, e.g. ``sensor_msgs/msg/JointState``."""
         package, kind, *_ = self.message.__module__.split('.')
         return f'{package}/{kind}/{self.message.__name__}'
 

@@ -319,7 +319,7 @@ class _SampleClock(NamedTuple):
 
     @property
     def ticks(self) -> int:
-        """Number of rows from the first sample to the last one, both included."""
+        """Return the number of rows from the first sample to the last one, both included."""
         return int(self.rows[-1]) + 1
 
 

@@ -89,7 +89,7 @@ class PushTestResult(NamedTuple):
 
     @property
     def message(self) -> str:
-        """The verdict in one line, for a user."""
+        """Return the verdict in one line, for a user."""
         if self.passed:
             right = self.unchecked or 'moments right'
             return f'{PASSED}: sign and frame right, scale {self.scale:.2f}, {right}'
@@ -137,7 +137,7 @@ class PushGate:
 
     @property
     def instruction(self) -> str:
-        """What the user should do now; empty if there is nothing to be done."""
+        """Return what the user should do now; empty if there is nothing to be done."""
         if self.phase == 'push':
             direction = self._config.directions[len(self._pushes)]
             return (

@@ -252,7 +252,9 @@ def run_jobs(
     client
         Of a Dask cluster, which runs them instead (`dask_client`).
     console
-        Where a bar called `title` shows how many are finished.
+        Where a bar shows how many are finished.
+    title
+        What the bar is called.
 
     Raises
     ------

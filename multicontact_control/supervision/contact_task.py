@@ -303,7 +303,7 @@ class ContactTask:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The state of each contact's normal force."""
+        """Return the state of each contact's normal force."""
         if self._changed[0]:
             self._changed[0] = False
             codes = self._codes[self._leaders].tolist()
@@ -312,7 +312,7 @@ class ContactTask:
 
     @property
     def read_before(self) -> tuple[str, ...]:
-        """A sentence for each force or couple that was read before anything was touched."""
+        """Return a sentence for each force or couple that was read before anything was touched."""
         readings = self.states['untared'] + self.states['resting_force']
         return tuple(
             f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'

@@ -201,7 +201,7 @@ class Inputs:
 
     @property
     def joints_without_effort(self) -> dict[str, tuple[int, ...]]:
-        """Indices of the joints whose torques have been of no use, by what is wrong with them."""
+        """Return the joints whose torques have been of no use, by what is wrong with them."""
         unusable = self._torques['unusable_samples'] >= REPORTED
         found = self._joints['watch']['effort_fault']
         joints = {}
@@ -218,7 +218,7 @@ class Inputs:
 
     @property
     def sensor_fault(self) -> str:
-        """What is wrong with the wrench of this tick, empty for nothing."""
+        """Return what is wrong with the wrench of this tick, empty for nothing."""
         return PROBLEMS[max(self._found['wrench']['problem'], FINE)]
 
     @property
@@ -243,7 +243,7 @@ class Inputs:
     @property
     def joint_history(self) -> tuple[Matrix, Vector]:
         """
-        The newest joint states, and how far positions contradict each velocity.
+        Return the newest joint states, and how far positions contradict each velocity.
 
         Oldest first, shape (k, 2 n) [rad, rad/s], and shape (n,), above 1 for a contradiction.
         """

@@ -236,9 +236,12 @@ class ControlPanel:
         name: str,
         values: Callable[[Any], CommandValues],
     ) -> None:
-        """Let an element ask for a command when a user changes it, not when the page does."""
+        """
+        Let an element ask for a command when a user changes it, not when the page does.
 
-        # Asynchronous: in viser's thread, with the value of the change.
+        The callback is asynchronous, in viser's thread: it has the value of the change.
+        """
+
         async def on_update(event: Any) -> None:
             if event.client_id is not None:
                 self._requests.request_command(

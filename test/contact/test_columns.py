@@ -106,7 +106,7 @@ def test_force_that_is_untared_is_taken_off():
 
 
 def test_expected_friction_of_a_slide_is_taken_for_no_couple():
-    """mu alpha v / sqrt(v^2 + v_s^2) along the sliding of the point, v_s = 0.01 m/s."""
+    """Along the sliding of the point: mu alpha v / sqrt(v^2 + v_s^2), v_s = 0.01 m/s."""
     records = columns([FORCE, ALONG])
     records['config']['friction_coefficient'] = 0.4, 0.0
     twist = np.array([0.02, 0.01, -0.03, 0.1, -0.2, 0.15])

@@ -110,7 +110,7 @@ def test_residual_counts_until_it_falls_below_half_its_threshold():
 
 
 def test_wrench_of_the_residual_is_its_dynamically_consistent_one():
-    """f = Lambda J M^-1 r, in the axes of the sensor."""
+    """In the axes of the sensor: f = Lambda J M^-1 r."""
     arm = make_arm(bandwidth=200.0, is_input=True)
     residual = np.array([1.0, -2.0, 3.0, 0.4, -0.5, 0.6])
     arm.joints['watch']['residual'] = residual

@@ -25,7 +25,7 @@ class LoopModel:
 
     @property
     def plant(self) -> DelayedPlant:
-        """The plant k e^(-s T_d) / (s (s + K_2)), discretised with the period h (P04 eq. 33)."""
+        """Return k e^(-s T_d) / (s (s + K_2)), discretised with h (P04 eq. 33)."""
         return make_delayed_plant(
             self.stiffness, self.damping_rate, self.input_delay, self.period
         )

@@ -104,7 +104,7 @@ class LinearLaw:
 
     @property
     def states(self) -> int:
-        """The number of states n."""
+        """Return the number of states n."""
         return len(self.A)
 
     def record(self) -> Records[Linear]:

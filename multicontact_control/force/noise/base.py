@@ -27,7 +27,7 @@ class Innovation:
 
     @property
     def valid(self) -> Mask:
-        """The contacts that have an innovation, as a mask of shape (r,)."""
+        """Return the contacts that have an innovation, as a mask of shape (r,)."""
         mask: Mask = self.variance_used > 0.0
         return mask
 

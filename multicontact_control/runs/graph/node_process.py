@@ -8,7 +8,6 @@ Loading its modules takes a node one to three seconds of a processor; the fork s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import contextlib
 from importlib import import_module
 import multiprocessing
 from multiprocessing import forkserver
@@ -42,8 +41,10 @@ def prepare_nodes() -> None:
     at_hangup = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     at_interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Its modules would come from a checkout in which it is started.
-    with contextlib.chdir(sys.prefix):
-        forkserver.ensure_running()
+    started_in = os.getcwd()
+    os.chdir(sys.prefix)
+    forkserver.ensure_running()
+    os.chdir(started_in)
     signal.signal(signal.SIGHUP, at_hangup)
     signal.signal(signal.SIGINT, at_interrupt)
 

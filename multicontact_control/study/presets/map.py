@@ -45,7 +45,7 @@ class LinearLoop(NamedTuple):
     @property
     def label(self) -> str:
         """
-        What sentences and the figure call it.
+        Return what sentences and the figure call it.
 
         Name and R [N^2] together: two of the `LINEAR_LOOPS` have one name. It is also the key of
         the loop's boundaries.
