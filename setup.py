@@ -111,14 +111,23 @@ extras_require = {
 
 
 def read_version():
-    """Return the version, which only the package itself states."""
+    """
+    Return the version, which only the package itself states.
+
+    It is read as text: an import would need what the installation is yet to bring.
+    """
     text = (here / package_name / '__init__.py').read_text(encoding='utf-8')
     found = re.search(r"^__version__ = '([^']+)'$", text, re.MULTILINE)
     return found.group(1)
 
 
 def list_config_files():
-    """Return the entries of `data_files` for config/: each folder with its files."""
+    """
+    Return the entries of `data_files` for config/: each folder with its files.
+
+    They go below share/, where ROS 2 packages have their data, and where `find_config_folder`
+    finds them.
+    """
     files_by_folder = {}
     for path in sorted(here.glob('config/**/*')):
         if path.is_file():

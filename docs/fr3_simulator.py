@@ -38,7 +38,11 @@ UNTOUCHED = {'contype': '0', 'conaffinity': '0'}  # touches in its pairs alone
 
 
 def format_numbers(values: Any) -> str:
-    """Return numbers as MJCF has them, with blanks between and nine digits each."""
+    """
+    Return numbers as MJCF has them, with blanks between and nine digits each.
+
+    Nine digits leave a nanometre of a metre.
+    """
     return ' '.join(f'{value:.9g}' for value in values)
 
 
@@ -117,7 +121,11 @@ def replace_hand(hand: Any, arm: Any, face: Any) -> None:
 
 
 def remove_elements(parent: Any, *tags: str) -> None:
-    """Remove the children of an element that have one of some tags; theirs go with them."""
+    """
+    Remove the children of an element that have one of some tags; theirs go with them.
+
+    Elements further down whose parents stay are left alone.
+    """
     for element in list(parent):
         if element.tag in tags:
             parent.remove(element)
@@ -181,7 +189,12 @@ class Sensor:
             model.pair_solref[i] = (-stiffness * scale, -0.01 * stiffness * scale)
 
     def publish(self, model: Any, data: Any) -> None:
-        """Publish what the arm does to the tool, and now and then the forces of the contacts."""
+        """
+        Publish what the arm does to the tool, and now and then the forces of the contacts.
+
+        The wrench has white noise from a fixed seed, and the wall clock's stamp; the true forces
+        come at a twentieth of its rate.
+        """
         message = self._message
         reading = data.sensordata + NOISE * self._random.normal(size=6)
         force, torque = reading.reshape(2, 3).tolist()
@@ -249,19 +262,30 @@ def run_franky_sim(address: str, output: Path | None) -> None:
             return
 
         class Server(franka_robot_server.FrankaRobotServer):
-            """With a user stop, which franky-sim lacks."""
+            """
+            With a user stop, which franky-sim lacks.
+
+            A driver has to see it as on the real arm: as a mode, and as the end of the motion that
+            it runs.
+            """
 
             stopped = False
 
             @property
             def robot_state(self) -> Any:
+                """Return the state, whose mode is `kUserStopped` while the stop is pressed."""
                 state = super().robot_state
                 if self.stopped:
                     state = state.replace(robot_mode=RobotMode.kUserStopped)
                 return state
 
             def press_stop(self) -> None:
-                """Press the user stop or release it; the arm then holds its position."""
+                """
+                Press the user stop or release it; the arm then holds its position.
+
+                A motion that runs is ended with `kPreemptedDueToActivatedSafetyFunctions`, as its
+                client is to be told.
+                """
                 self.stopped = not self.stopped
                 motion = self.current_motion_id
                 if self.stopped and motion:
@@ -306,11 +330,12 @@ def run_franka_sim(address: str, scene: Path) -> None:
     mujoco_franka_sim.ARM_INITIAL_Q = np.array(model.numeric('home').data)
 
     class Simulation(mujoco_franka_sim.MujocoFrankaSim):
-        """With a sensor."""
+        """With a sensor, whose driver runs after each step."""
 
         sensor: Sensor | None = None
 
         def initialize_simulation(self) -> None:
+            """Load the model as franka-sim does, then give it the sensor."""
             super().initialize_simulation()
             self.sensor = Sensor(self.model)
 
@@ -334,7 +359,7 @@ def run_franka_sim(address: str, scene: Path) -> None:
 
 
 def main() -> None:
-    """Run what the command line asks for."""
+    """Run what the command line asks for: one of the two simulators, or the file of a scene."""
     parser = argparse.ArgumentParser(
         description=(__doc__ or '').strip().partition('\n')[0]
     )

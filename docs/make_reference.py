@@ -86,17 +86,30 @@ class Entry(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Return the SI unit that it was declared with, empty if it has none."""
+        """
+        Return the SI unit that it was declared with, empty if it has none.
+
+        Parameters state it beside their description, where `parameter(..., unit=...)` declares
+        them.
+        """
         return str(_declared_extra(self.field).get('unit', ''))
 
     @property
     def live(self) -> bool:
-        """Whether it may change while a node runs; all others while it is unconfigured."""
+        """
+        Whether it may change while a node runs; all others while it is unconfigured.
+
+        The controller blends from the old torque to the new one then, as `transition` says.
+        """
         return bool(_declared_extra(self.field).get('live'))
 
     @property
     def default(self) -> str:
-        """Return the default as YAML has it, or that there is none."""
+        """
+        Return the default as YAML has it, or that there is none.
+
+        JSON is YAML, too, so that a reader can copy it into a file.
+        """
         if self.field.is_required():
             return 'required'
         value = self.field.get_default(call_default_factory=True)
@@ -117,7 +130,12 @@ class Entry(NamedTuple):
 
 
 class Group(NamedTuple):
-    """The values that one model declares itself, under the dotted prefix of their names."""
+    """
+    The values that one model declares itself, under the dotted prefix of their names.
+
+    A page has a heading and a table for each; what it holds of other models is in groups of their
+    own.
+    """
 
     prefix: str
     model: type[Config]
@@ -521,7 +539,11 @@ PAGES: dict[str, Callable[[], str]] = {
 
 
 def main() -> None:
-    """Write all pages anew into docs/reference, whose folder is made if it is not there."""
+    """
+    Write all pages anew into docs/reference, whose folder is made if it is not there.
+
+    `test/test_reference.py` compares them with what the code declares, and fails if they differ.
+    """
     FOLDER.mkdir(exist_ok=True)
     for name, page in PAGES.items():
         (FOLDER / name).write_text(page(), encoding='utf-8')

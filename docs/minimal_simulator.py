@@ -91,7 +91,12 @@ def advance(torque):
 
 
 class Simulator(Node):
-    """Publishes a sample, waits for the command that answers it, and advances by a period."""
+    """
+    Publishes a sample, waits for the command that answers it, and advances by a period.
+
+    So a slow controller slows the simulation down and loses no sample, and the run is the same
+    each time but for the noise.
+    """
 
     def __init__(self):
         super().__init__('my_simulator')
@@ -104,7 +109,12 @@ class Simulator(Node):
         self.publish()
 
     def publish(self):
-        """Publish the sensors' readings, both with the same stamp."""
+        """
+        Publish the sensors' readings, both with the same stamp.
+
+        The controller pairs joint state and wrench by the stamp. A timer repeats a sample that was
+        lost on the way, with new noise.
+        """
         self.stamp = Time(nanoseconds=round(self.tick * PERIOD * 1e9)).to_msg()
         sample = JointState(name=robot['joint_names'])
         sample.header.stamp = self.stamp
@@ -121,7 +131,12 @@ class Simulator(Node):
         self.joint_states.publish(sample)
 
     def obey(self, command):
-        """Advance by a period, in real time at most, if a command answers the newest sample."""
+        """
+        Advance by a period, in real time at most, if a command answers the newest sample.
+
+        A command with an older stamp answers a repetition that is no longer needed. Efforts are
+        taken by the names of their joints.
+        """
         if command.header.stamp == self.stamp:
             effort = dict(zip(command.name, command.effort))
             advance([effort[name] for name in robot['joint_names']])

@@ -31,7 +31,11 @@ SWITCHES = [
 
 
 def find_chromium() -> str:
-    """Return the path of a Chromium, that of ``CHROMIUM`` first; without one, end."""
+    """
+    Return the path of a Chromium, that of ``CHROMIUM`` first; without one, end.
+
+    The program ends with the command that installs it.
+    """
     for name in (os.environ.get('CHROMIUM', ''), *NAMES):
         path = shutil.which(name)
         if path is not None:
@@ -43,7 +47,12 @@ def find_chromium() -> str:
 
 
 def main() -> None:
-    """Start the page and its graph, press on both contacts, take the picture, end all."""
+    """
+    Start the page and its graph, press on both contacts, take the picture, end all.
+
+    The first argument is the picture's path; by default it replaces that of the documents. The
+    view is ended also if a step fails.
+    """
     picture = PICTURE
     if len(sys.argv) > 1:
         picture = Path(sys.argv[1])

@@ -27,7 +27,8 @@ def limit_threads() -> None:
     """
     Limit linear algebra to one thread by default; call it before numpy is imported.
 
-    What is set in the environment stays.
+    Matrices of an arm are so small that threads cost more than they save, and take the cores of
+    other nodes. What is set in the environment stays.
     """
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
@@ -63,6 +64,7 @@ def claim_processor(
 
     @contextlib.contextmanager
     def noting_failure(request: str, need: str) -> Iterator[None]:
+        """Note what fails within, and what it needs, instead of raising it."""
         try:
             yield
         except (AttributeError, OSError, ValueError) as error:

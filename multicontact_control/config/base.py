@@ -164,7 +164,16 @@ def find_config_model(kind: Any) -> type[Config] | None:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML mapping; ConfigError if the file cannot be read or holds anything else."""
+    """
+    Read a YAML mapping, as a file of this package or of a user.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not valid YAML (with line and column), or holds anything
+        else than a mapping.
+
+    """
     try:
         data = yaml.load(path.read_text(encoding='utf-8'), LOADER)
     except OSError as error:
@@ -178,7 +187,15 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
-    """Read a ROS 2 parameter file with one section; ConfigError for any other file."""
+    """
+    Read a ROS 2 parameter file with one section, whatever node it names.
+
+    Raises
+    ------
+    ConfigError
+        For any other file, with the sections that it has.
+
+    """
     sections = dict(_node_sections(read_yaml(path)))
     if len(sections) != 1 or None in sections.values():
         raise ConfigError(
@@ -205,7 +222,12 @@ def _node_sections(
 
 
 def sets_parameter(path: Path, node: str, name: str) -> bool:
-    """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
+    """
+    Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name.
+
+    Sections for all nodes count. It tells a value that a user has chosen from a default of the
+    same size.
+    """
     for section, parameters in _node_sections(read_yaml(path)):
         concerned = section.rpartition('/')[2] in (node, ANY_NODE, '*')
         if concerned and _holds_parameter(parameters or {}, name):

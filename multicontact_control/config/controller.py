@@ -72,7 +72,12 @@ class MotionConfig(Config):
 
 
 class PostureConfig(Config):
-    """Motion of the joints that the operational point does not see, of an arm with more than 6."""
+    """
+    Motion of the joints that the operational point does not see, of an arm with more than 6.
+
+    It acts in the null space of the task: the joints follow the posture as far as the task leaves
+    them free.
+    """
 
     natural_frequency: float = parameter(
         5.0,
@@ -88,7 +93,12 @@ class PostureConfig(Config):
 
 
 class FrictionConfig(Config):
-    """Compensation of the joints' friction, which the paper's model does not have."""
+    """
+    Compensation of the joints' friction, which the paper's model does not have.
+
+    Without it, friction is a disturbance that the active state of the observers has to find. It
+    goes with the measured joint speeds v: F_c tanh(v / v_0) + F_v v is added to the torque.
+    """
 
     coulomb: NonNegativeVector = parameter(
         (),
@@ -300,12 +310,22 @@ class ControllerConfig(Config):
 
     @property
     def loop_delay(self) -> float:
-        """T_d of the force loop: force.input_delay and that of the measurement of forces [s]."""
+        """
+        T_d of the force loop: force.input_delay and that of the measurement of forces [s].
+
+        The observers' model has it as delayed inputs, of at most `MAX_DELAY_PERIODS` control
+        periods.
+        """
         return self.force.input_delay + self.measuring_delay
 
     @property
     def measuring_delay(self) -> float:
-        """Delay of the low-pass of the wrench and, by momentum, of its observer [s]."""
+        """
+        Delay of the low-pass of the wrench and, by momentum, of its observer [s].
+
+        Both are the controller's own, so it adds them by itself; `force.input_delay` is what a
+        user states.
+        """
         delay = self.sensor.filter_delay(self.rate)
         if self.wrench_input == 'momentum':
             delay += 1.0 / self.momentum_bandwidth
@@ -316,7 +336,9 @@ class ControllerConfig(Config):
         """
         Return the controlled coordinates of all contacts, in the order of every vector.
 
-        A point has one, its normal force; an edge has a couple more, a plane two.
+        A point has one, its normal force; an edge has a couple more, a plane two. A couple's
+        stiffness is that which is configured, or else a third of the normal one, as of a uniform
+        surface.
         """
         columns: list[Column] = []
         for name in self.contact_names:
@@ -351,16 +373,30 @@ class ControllerConfig(Config):
 
     @property
     def leading_columns(self) -> tuple[int, ...]:
-        """Return for each column the index of the column with the normal force of its contact."""
+        """
+        For each column the index of the column with the normal force of its contact.
+
+        For a normal force that is its own index; a couple means something only while its leader
+        presses.
+        """
         return tuple(column.leader for column in self.columns)
 
     @property
     def force_columns(self) -> tuple[int, ...]:
-        """Return the indices of the columns that are normal forces, one per contact."""
+        """
+        Return the indices of the columns that are normal forces, one per contact, in their order.
+
+        Counts of contacts and lists of their names go by them; couples are left out.
+        """
         return tuple(i for i, column in enumerate(self.columns) if column.kind == FORCE)
 
     def force_law_of(self, contact: str) -> LawName:
-        """Return the name of the law that controls a contact: its own, or else `force.law`."""
+        """
+        Return the name of the law that controls a contact: its own, or else `force.law`.
+
+        `contact` is one of `contact_names`; KeyError for any other. The couples of a contact have
+        its law.
+        """
         own_law = self.contacts[contact].law
         return own_law or self.force.law
 
@@ -375,12 +411,20 @@ class ControllerConfig(Config):
 
     @property
     def wrench_series(self) -> str:
-        """Return the name of the wrench that feeds the loop, in samples and recordings."""
+        """
+        Return the name of the wrench that feeds the loop, in samples and recordings.
+
+        A wrench by momentum passes the controller's own low-pass, and so is a filtered one.
+        """
         if self.wrench_input == 'raw':
             return 'wrench'
         return 'wrench_filtered'
 
     @property
     def period(self) -> float:
-        """Return the control period h, of which delays and ages are multiples [s]."""
+        """
+        Return the control period h, of which delays and ages are multiples [s].
+
+        A sample is to come every h, and be answered within it.
+        """
         return 1.0 / self.rate

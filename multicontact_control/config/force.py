@@ -106,7 +106,11 @@ class AdmittanceConfig(Config):
 
 
 class ImpedanceConfig(Config):
-    """The law `impedance`: a virtual spring to a point that lies alpha_des / k in the surface."""
+    """
+    The law `impedance`: a virtual spring to a point that lies alpha_des / k in the surface.
+
+    Nothing integrates a force error away: the force is as exact as the stiffness k of the model.
+    """
 
     natural_frequency: float = parameter(
         30.0,
@@ -210,7 +214,12 @@ class ForceConfig(Config):
 
 
 class VarianceBoundsConfig(Config):
-    """What every noise variance R lies between, in the estimator and in the observers."""
+    """
+    What every noise variance R lies between, in the estimator and in the observers.
+
+    Both clip it. A bound that is reached is a remark in the run's summary, with the share of the
+    samples.
+    """
 
     smallest: float = parameter(
         0.1,

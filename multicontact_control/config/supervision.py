@@ -144,7 +144,12 @@ class LimitsConfig(Config):
 
 
 class CollisionConfig(Config):
-    """Torques that neither model nor wrist sensor explains, as of a touch before the sensor."""
+    """
+    Torques that neither model nor wrist sensor explains, as of a touch before the sensor.
+
+    A generalised-momentum observer finds them in the joints. What counts as a collision grows with
+    the torque that accelerates a joint.
+    """
 
     reaction: Literal['none', 'hold', 'float', 'damp'] = parameter(
         'hold',

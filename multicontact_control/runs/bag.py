@@ -34,7 +34,12 @@ Numbers = dict[tuple[str, str], float]  # of one message, by field and name
 
 
 def read_joint_state(message: Any) -> Numbers:
-    """Return position, velocity and effort of each named joint, or contact, in SI units."""
+    """
+    Return position, velocity and effort of each named joint, or contact, in SI units.
+
+    A message may leave any of the three fields empty; contact forces come as the efforts of joints
+    that are named like contacts.
+    """
     numbers = {}
     for field in ('position', 'velocity', 'effort'):
         for name, number in zip(message.name, getattr(message, field)):
@@ -43,7 +48,11 @@ def read_joint_state(message: Any) -> Numbers:
 
 
 def read_wrench(message: Any) -> Numbers:
-    """Return force [N] and torque [N m] as `wrench`, in the frame of the message's header."""
+    """
+    Return force [N] and torque [N m] as `wrench`, in the frame of the message's header.
+
+    The names are `force.x` to `torque.z`, so that the columns of a series are force first.
+    """
     numbers = {}
     for part in ('force', 'torque'):
         vector = getattr(message.wrench, part)
@@ -63,7 +72,12 @@ def read_pose(message: Any) -> Numbers:
 
 
 def read_markers(message: Any) -> Numbers:
-    """Return where each marker is, x, y and z [m], by the last part of its namespace."""
+    """
+    Return where each marker is, x, y and z [m], by the last part of its namespace.
+
+    That part is the name of what the marker stands for, such as a contact; a marker without a
+    namespace has the name ''.
+    """
     numbers = {}
     for marker in message.markers:
         name = marker.ns.rpartition('/')[2]
@@ -73,7 +87,12 @@ def read_markers(message: Any) -> Numbers:
 
 
 def read_obeyed_forces(message: Any) -> Numbers:
-    """Return the forces that a controller obeys [N], of a status such as `table 10, board 5`."""
+    """
+    Return the forces that a controller obeys [N], of a status such as `table 10, board 5`.
+
+    The status says what was accepted, where the command topic says what was asked for. It is empty
+    while no force is asked for.
+    """
     numbers = {}
     for value in message.values:
         if value.key == 'forces' and value.value:
@@ -139,17 +158,30 @@ class BagColumns:
 
     @property
     def stamps(self) -> NDArray[np.int64]:
-        """Stamps of the headers, shape (m,) [ns]."""
+        """
+        Stamps of the headers, shape (m,) [ns], in the order of the recording.
+
+        Samples and their answers have the same stamp, by which series are aligned.
+        """
         return np.array(self._stamps, dtype=np.int64)
 
     @property
     def published(self) -> NDArray[np.uint64]:
-        """When the messages were sent, shape (m,) [ns since the epoch]."""
+        """
+        When the messages were sent, shape (m,) [ns since the epoch].
+
+        A status has no stamp of its own: this time takes its place in `stamps`.
+        """
         return np.array(self._published, dtype=np.uint64)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names in the first message that has any, each once."""
+        """
+        Names in the first message that has any, each once.
+
+        They are the joints or contacts of a recording whose configuration is not known; empty if
+        no message names any.
+        """
         for labels in self._groups:
             if labels:
                 return tuple(dict.fromkeys(name for _, name in labels))
@@ -210,14 +242,29 @@ class BagMessages:
 
 
 class RecordingMetadata(NamedTuple):
-    """What ``metadata.yaml`` of rosbag2 says that a recording holds."""
+    """
+    What ``metadata.yaml`` of rosbag2 says that a recording holds.
+
+    It is written at the recording's end, so that files or messages that it counts and that are not
+    there have been lost since.
+    """
 
     files: Sequence[str]  # names, in the order of time
     message_count: int
 
 
 def read_metadata(folder: Path) -> RecordingMetadata | None:
-    """Return what the metadata of a recording list, None without any; ConfigError if damaged."""
+    """
+    Return what the metadata of a recording list.
+
+    None without any, as of a recorder that was killed or of a bare MCAP file.
+
+    Raises
+    ------
+    ConfigError
+        If the file is there and lacks the files or the count.
+
+    """
     path = folder / METADATA
     if not path.is_file():
         return None

@@ -117,11 +117,20 @@ class RunData:
 
     @property
     def ticks(self) -> int:
-        """Return the number of samples m, those that are missing in between included."""
+        """
+        Return the number of samples m, those that are missing in between included.
+
+        Rows are equally spaced in time by one control period.
+        """
         return int(self.time.shape[0])
 
     def recorded(self) -> Mask:
-        """Return the samples of which anything was recorded, shape (m,)."""
+        """
+        Return the samples of which anything was recorded, shape (m,).
+
+        A row without anything is a lost sample, whose numbers are all NaN; every statistic has to
+        leave it out.
+        """
         known = np.zeros(self.ticks, dtype=bool)
         for name, values in self._list_series().items():
             # Times are computed, and a command holds until the next one.
@@ -139,7 +148,12 @@ class RunData:
         return hashlib.sha256(torques.tobytes()).hexdigest()
 
     def part(self, begin: int, end: int) -> RunData:
-        """Return the samples from one up to another; time begins with the first of them."""
+        """
+        Return the samples from one up to another; time begins with the first of them.
+
+        `begin` and `end` are rows, as of a slice; names and rate stay. The series are views of
+        those of the whole run.
+        """
         cut = {name: values[begin:end] for name, values in self._list_series().items()}
         cut['time'] = self.time[: end - begin]
         return replace(self, **cut)  # type: ignore[arg-type]
@@ -152,12 +166,24 @@ class RunData:
         }
 
     def save(self, folder: Path) -> None:
-        """Write the series to ``samples.npz`` in a folder that exists; `load` reads them."""
+        """
+        Write the series to ``samples.npz`` in a folder that exists; `load` reads them.
+
+        It is what a run in process leaves in the place of a bag.
+        """
         np.savez_compressed(folder / SERIES_FILE, **vars(self))
 
     @classmethod
     def load(cls, folder: Path) -> RunData:
-        """Read the series that `save` wrote; RunError if the file is missing or damaged."""
+        """
+        Read the series that `save` wrote, from the folder of a run.
+
+        Raises
+        ------
+        RunError
+            If the file is missing or damaged, or lacks a series of this version.
+
+        """
         path = folder / SERIES_FILE
         try:
             with np.load(path, allow_pickle=False) as data:
@@ -197,7 +223,12 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
 
 
 class Missing(NamedTuple):
-    """A stretch of a run of which no sample was recorded, on the clock of `RunData.time`."""
+    """
+    A stretch of a run of which no sample was recorded, on the clock of `RunData.time`.
+
+    Samples that were lost at either end are stretches with an infinite bound, since nothing tells
+    how many there were.
+    """
 
     begin: float  # since the first sample that is there [s]; minus infinity: from an unknown one
     end: float  # s; infinite: to an unknown end
@@ -212,7 +243,11 @@ class Missing(NamedTuple):
 
 
 def describe_missing(missing: Sequence[Missing], what: str = 'samples') -> str:
-    """Return in words from when to when something, by default the samples, is missing."""
+    """
+    Return in words from when to when something, by default the samples, is missing.
+
+    A few stretches are named, and the others counted, so that the line stays readable.
+    """
     text = ', '.join(str(each) for each in missing[:GAPS_NAMED])
     if len(missing) > GAPS_NAMED:
         text += f' and {len(missing) - GAPS_NAMED} times more'
@@ -245,7 +280,12 @@ class BagContent:
 
     @property
     def unanswered(self) -> int:
-        """Return the number of recorded samples that no commanded torque answers."""
+        """
+        Return the number of recorded samples that no commanded torque answers.
+
+        In lockstep there should be none; over a robot's topics those before the first answer may
+        be many.
+        """
         silent = np.isnan(self.data.torque).all(axis=1)
         return int((silent & self.data.recorded()).sum())
 
@@ -298,7 +338,12 @@ def read_graph(path: Path, namespace: str | None = None) -> bag.BagMessages:
 
 
 def find_sample_topic(messages: bag.BagMessages) -> str:
-    """Return the topic that stands for the samples: joint states, or that of most messages."""
+    """
+    Return the topic that stands for the samples: joint states, or that of most messages.
+
+    A bag that was recorded without the joint states still has a clock in the stamps of another
+    series. At least one topic has to be one of `SERIES`.
+    """
     counts = {}
     for topic in SERIES:
         if topic in messages.by_topic:

@@ -26,6 +26,7 @@ from multicontact_control.files import (
     replace_nonfinite_numbers,
 )
 from multicontact_control.judging.display import make_count_bar
+from multicontact_control.paths import PACKAGE_DIR
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import resolve, Setup
 from multicontact_control.study.measure import measure_run
@@ -100,9 +101,8 @@ def hash_code() -> str:
     Any change of a source or a library makes every earlier result one of another key, since
     trajectories are compared bit by bit. Computed once in a process.
     """
-    package = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
-    for folder in (package, package.parent / 'sim_bridge'):
+    for folder in (PACKAGE_DIR, PACKAGE_DIR.parent / 'sim_bridge'):
         for path in sorted(folder.rglob('*.py')):
             digest.update(f'{path.relative_to(folder.parent).as_posix()}\0'.encode())
             digest.update(path.read_bytes())

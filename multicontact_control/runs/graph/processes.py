@@ -65,7 +65,11 @@ class NodeProcesses:
         )
 
     def has_ended(self, name: str) -> bool:
-        """Return whether a node was started and has ended."""
+        """
+        Return whether a node was started and has ended.
+
+        A node that was never started has not ended.
+        """
         return name in self.running and self.running[name].exitcode is not None
 
     def check_running(self, *, stopped: bool = False) -> None:
@@ -91,7 +95,11 @@ class NodeProcesses:
             raise RunError(self.describe_end(name, event))
 
     def describe_end(self, name: str, event: str) -> str:
-        """Return what happened to a node, an `event` in words, with the end of its log."""
+        """
+        Return what happened to a node, an `event` in words, with the end of its log.
+
+        The last 12 lines say more than an exit code, and the path leads to the rest.
+        """
         lines = self._read_log(name).splitlines()
         if not lines:
             lines = ['(nothing)']
@@ -99,7 +107,12 @@ class NodeProcesses:
         return f'{name} {event}; the end of {self._log_file(name)}:\n{tail}'
 
     def last_line(self, name: str) -> str:
-        """Return the last line of a node's log, without time and name."""
+        """
+        Return the last line of a node's log, without time and name.
+
+        It tells what a controller waits for that does not answer yet; empty if it has printed
+        nothing.
+        """
         text = self._read_log(name).rstrip('\n')
         return text.rpartition('\n')[2].rpartition(f'[{name}]: ')[2]
 

@@ -18,7 +18,12 @@ QUEUE_DEPTH = 100  # messages
 
 @dataclass(frozen=True)
 class ExpectedRobot:
-    """What is expected behind the topics of the user's own robot, and for how long."""
+    """
+    What is expected behind the topics of the user's own robot, and for how long.
+
+    The graph then has no simulator; its nodes wait for these topics before they are activated, and
+    end the run when they fall silent.
+    """
 
     joint_names: Sequence[str]  # that it has, among others
     wrench_input: str = 'raw'  # that the controller reads: raw, filtered or momentum
@@ -50,11 +55,11 @@ class _InputStream:
 
     @property
     def source(self) -> str:
-        """Return which node publishes the topic, in words."""
+        """Which node publishes the topic, in words; `the robot` until its name is known."""
         return self._source or 'the robot'
 
     def take_messages(self) -> None:
-        """Take what has come."""
+        """Take all that has come since the last call; note when the newest whole message did."""
         while True:
             taken = take_message(self._subscription)
             if taken is None:
@@ -78,7 +83,12 @@ class _InputStream:
         return ', '.join(sorted({end.node_name for end in ends} - {UNNAMED}))
 
     def describe_missing(self) -> str:
-        """Return why no whole message has come yet, empty if one has."""
+        """
+        Return why no whole message has come yet, empty if one has.
+
+        The line tells apart a topic without a publisher, a publisher that is silent, and joint
+        states that lack joints.
+        """
         if self._received:
             return ''
         if self._incomplete is not None:
@@ -163,7 +173,11 @@ class RobotWatch(ServiceClientNode):
 
     @property
     def sources(self) -> str:
-        """Say which nodes publish the robot's topics, as far as they are known."""
+        """
+        Which nodes publish the robot's topics, as far as they are known, in one line.
+
+        It is told when the run begins, so that a user sees which of several robots was found.
+        """
         return ', '.join(
             f'{stream.name} from {stream.source}' for stream in self._streams
         )

@@ -47,11 +47,20 @@ Tell = Callable[[str], None]
 
 
 class InterruptedRunError(Exception):
-    """A signal came while a graph was started: there is no run, and no error."""
+    """
+    A signal came while a graph was started: there is no run, and no error.
+
+    `keep_waiting` raises it, since a start has no other place at which it looks for signals.
+    """
 
 
 class GraphProgress(NamedTuple):
-    """Where a run is, since the first sample that was seen, for a progress bar."""
+    """
+    Where a run is, since the first sample that was seen, for a progress bar.
+
+    It is read five times a second at most, from the newest message; nothing that is judged depends
+    on it.
+    """
 
     time: float  # [s]
     forces: Mapping[str, float]  # measured, per contact [N]
@@ -60,7 +69,11 @@ class GraphProgress(NamedTuple):
 
 @dataclass(frozen=True)
 class GraphResult:
-    """How a run ended that no node failed in, and where its recording is."""
+    """
+    How a run ended that no node failed in, and where its recording is.
+
+    A node that fails is a RunError instead; what was recorded until then stays in the bag.
+    """
 
     bag: Path  # folder of the recording, closed
     controlled: bool  # whether any sample was answered
@@ -72,9 +85,10 @@ class GraphResult:
 
 class ProgressListener(link.ServiceClientNode):
     """
-    Reads the read_newest measured forces when asked.
+    Reads the newest measured forces when asked.
 
-    It takes no time in between: no executor spins it.
+    It takes no time in between: no executor spins it, so that a progress bar costs the control
+    loop nothing.
     """
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
@@ -90,7 +104,12 @@ class ProgressListener(link.ServiceClientNode):
         self.heard = False  # whether any message has come yet
 
     def read_newest(self) -> GraphProgress | None:
-        """Return what came last since the last call, None if nothing has come since."""
+        """
+        Return what came last since the last call, None if nothing has come since.
+
+        Time counts from the first message that was read, on the clock of the stamps. Contacts
+        whose force is not finite are left out.
+        """
         taken = take_message(self._forces)
         if taken is None:
             return None
@@ -263,7 +282,11 @@ class _RunMonitor:
         self.simulated: float | None = None  # time since the first answer [s]
 
     def keep_waiting(self, what: str) -> None:
-        """Tell now and then what is waited for; InterruptedRunError after a signal."""
+        """
+        Tell what is waited for, every 5 s; InterruptedRunError after a signal.
+
+        It is called many times a second during a start.
+        """
         if self._signals:
             self._tell(STOPPING)
             raise InterruptedRunError

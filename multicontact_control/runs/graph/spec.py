@@ -18,7 +18,12 @@ FIFO_PRIORITY = 80  # below the kernel's own threads
 
 @dataclass(frozen=True)
 class GraphSpec:
-    """What to run; with a `robot` there is no simulator, and `ticks`, `seed`, `speed` are void."""
+    """
+    What to run; with a `robot` there is no simulator, and `ticks`, `seed`, `speed` are void.
+
+    Everything that decides on the processes is here, so that a test, a command and the page start
+    the same graph. Files and folder exist before it starts.
+    """
 
     out: Path  # folder of the run, which exists
     parameter_files: Mapping[str, Path]  # by node; one without a file has its defaults
@@ -39,7 +44,12 @@ class GraphSpec:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """Names of all nodes of the graph, in the order in which they are started."""
+        """
+        Names of all nodes of the graph, in the order in which they are started.
+
+        The recorder is first, so that no message is missed, and the simulator last, since it
+        begins to send samples.
+        """
         absent = set()
         if not self.recorded:
             absent.add(RECORDER)
@@ -49,12 +59,17 @@ class GraphSpec:
 
     @property
     def bag(self) -> Path:
-        """Folder of the recording, which the recorder makes."""
+        """Folder of the recording, which the recorder makes; it must not exist before."""
         return self.out / 'bag'
 
     @property
     def logs(self) -> Path:
-        """Folder of the nodes' logs and counts."""
+        """
+        Folder of the nodes' logs and counts.
+
+        For each node ``NAME.log`` is what it printed, and ``NAME.json`` what it counted by its
+        end.
+        """
         return self.out / 'logs'
 
 
