@@ -119,6 +119,20 @@ class InputVerdict(NamedTuple):
 ALL_VALID = InputVerdict()
 
 
+def _write_reading(place: Vector, numbers: Any) -> int:
+    """Write the numbers of a reading to their place, NaN if they do not fit; return what came."""
+    if numbers is NOT_THERE:
+        return ABSENT
+    try:
+        if np.shape(numbers) == place.shape:
+            place[:] = numbers
+            return FINE
+    except MALFORMED:
+        pass
+    place[:] = math.nan
+    return INVALID
+
+
 class Inputs:
     """
     The input stage of a controller: it writes what is valid into the controller's records.
@@ -290,18 +304,7 @@ class Inputs:
             self._variance_stamp[0], variances = variance
         readings = (q, velocity, effort, forces, variances)
         for (came, place), numbers in zip(self._places, readings):
-            came[0] = ABSENT
-            if numbers is NOT_THERE:
-                continue
-            came[0] = INVALID
-            try:
-                if np.shape(numbers) == place.shape:
-                    place[:] = numbers
-                    came[0] = FINE
-            except MALFORMED:
-                pass
-            if came[0] == INVALID:
-                place[:] = math.nan
+            came[0] = _write_reading(place, numbers)
         if self._by_command:
             self._command_came[0] = command is not None
             if command is not None:
