@@ -12,7 +12,8 @@ from sim_bridge.arm import Arm, compose_urdf, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.engine_arm import EngineArm
 
 # PyBullet prints when it was built, as soon as it is imported.
-_output, _nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+_output = os.dup(2)
+_nowhere = os.open(os.devnull, os.O_WRONLY)
 os.dup2(_nowhere, 2)
 try:
     import pybullet as bullet

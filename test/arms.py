@@ -91,7 +91,8 @@ def plant_config(name, **changes):
 def pressed_wrench(config, state, **forces):
     """Return what the wrist sensor adds to its reading when contacts press [N], shape (6,)."""
     sensor, pose = state.sensor_pose, state.pose
-    force, moment = np.zeros(3), np.zeros(3)
+    force = np.zeros(3)
+    moment = np.zeros(3)
     for name, alpha in forces.items():
         contact = config.contacts[name]
         point = pose.position_world + pose.rotation_world @ contact.point_operational
@@ -107,7 +108,8 @@ def seven_joint_urdf(folder: Path, joints: int = 7) -> Path:
     parts = ['<robot name="seven"><link name="base"/>']
     parent = 'base'
     for i in range(joints):
-        axis, mass = '0 0 1' if i % 2 == 0 else '0 1 0', 3.0 - 0.3 * min(i, 6)
+        axis = '0 0 1' if i % 2 == 0 else '0 1 0'
+        mass = 3.0 - 0.3 * min(i, 6)
         parts.append(
             f'<link name="l{i}"><inertial><origin xyz="0.02 0.01 0.1"/><mass value="{mass:.1f}"'
             '/><inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -98,7 +98,8 @@ def sources(*folders: str) -> dict[str, str]:
 @cache
 def imports() -> dict[str, set[str]]:
     """Return the modules that each module imports, wherever in the module it does so."""
-    modules, graph = sources('multicontact_control', 'sim_bridge'), {}
+    modules = sources('multicontact_control', 'sim_bridge')
+    graph = {}
     for name, text in modules.items():
         targets: set[str] = set()
         for node in ast.walk(ast.parse(text, name)):

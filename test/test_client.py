@@ -58,7 +58,8 @@ def test_first_command_is_sent_again_to_a_recorder_that_is_connected_after_it(
             ignore_message,
             topic.profile,
         )
-        status, heard = create_publisher(controller.node, topics.STATUS), subscribe()
+        status = create_publisher(controller.node, topics.STATUS)
+        heard = subscribe()
         sending = pool.submit(client.command_until_answered, topic, command)
         first, _ = wait_for(lambda: take_message(heard), 'the command')
         recorder = subscribe()

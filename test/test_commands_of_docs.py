@@ -34,7 +34,8 @@ DOCUMENTS = [
     ROOT / 'CONTRIBUTING.md',
     *sorted((ROOT / 'docs').glob('*.md')),
 ]
-TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
+TUTORIAL = ROOT / 'docs/tutorial.md'
+FIRST = Path('runs/first')
 # Files that are the reader's own.
 YOURS = {
     'my_arm.urdf',
@@ -267,7 +268,8 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
         capsys.readouterr()
         if language == 'python':
             exec(compile(block, str(TUTORIAL), 'exec'), {'__name__': '__main__'})
-            output, followed = capsys.readouterr().out, followed + 1
+            output = capsys.readouterr().out
+            followed = followed + 1
         elif language == 'sh':
             for line in lines_of(block):
                 words = shlex.split(line, comments=True)

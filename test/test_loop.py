@@ -49,7 +49,8 @@ class Bench:
             np.array(self.config.robot.gravity_world),
         )
         self.random = np.random.default_rng(0)
-        self.k, self.push = 0, np.zeros(6)
+        self.k = 0
+        self.push = np.zeros(6)
 
     @property
     def stamp(self):
@@ -176,7 +177,8 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
 
 
 def test_tool_of_an_impossible_mass_or_in_a_push_test_is_refused():
-    bench, other = Bench(tool={'mass': 5.0}), still_config(tool={'mass': 4.0})
+    bench = Bench(tool={'mass': 5.0})
+    other = still_config(tool={'mass': 4.0})
     bench.step(5)
     with pytest.raises(ConfigError, match='tool.mass: expected above 4.419 kg, got 4'):
         bench.loop.reconfigure(other)
@@ -290,7 +292,8 @@ FAULTS = {
 def test_fault_is_bridged_and_reacted_to_and_recovery_has_no_jump(fault):
     """A torque changes by less than 3 % of its limit from tick to tick through it all."""
     step, reaction, cause, bridged = FAULTS[fault]
-    bench, reactions = Bench(), []
+    bench = Bench()
+    reactions = []
     make_contact(bench)
     torques = [bench.step()]
     for _ in range(bridged + 29):
@@ -385,7 +388,8 @@ def test_events_are_at_the_time_of_their_samples_when_a_simulator_has_paused():
 
 def test_no_tick_compiles_anything():
     """In any reaction: it would take seconds."""
-    bench, before = Bench(), count_compilations()
+    bench = Bench()
+    before = count_compilations()
     make_contact(bench)
     for step, *_ in FAULTS.values():
         for _ in range(20):
@@ -451,7 +455,8 @@ def test_pull_of_a_surface_is_held_against_and_latched_until_a_retry():
 
 
 def test_stream_of_commands_does_not_seek_a_given_up_contact_again():
-    bench, states = Bench(), set()
+    bench = Bench()
+    states = set()
     make_contact(bench)
     bench.press('table', 70.0)
     bench.step(5)
@@ -492,7 +497,8 @@ def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
     bench = Bench()
     bench.step(5)
     owner, _, name = part.partition('.')
-    owner, work = getattr(bench.loop.supervisor, owner), {'broken': True}
+    owner = getattr(bench.loop.supervisor, owner)
+    work = {'broken': True}
     right = getattr(owner, name)
 
     def broken(*given):

@@ -73,7 +73,8 @@ def test_every_import_is_declared(keywords):
 @pytest.mark.nightly
 def test_installed_commands_compile_once_and_run_from_any_folder(tmp_path):
     """From the wheel, without its clone, in a venv that has the dependencies of this one."""
-    source, venv = tmp_path / 'source', tmp_path / 'venv'
+    source = tmp_path / 'source'
+    venv = tmp_path / 'venv'
     shutil.copytree(
         ROOT,
         source,

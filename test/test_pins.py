@@ -22,7 +22,8 @@ PINNED = json.loads(FILE.read_text())
 @pytest.mark.parametrize('name', SETUPS)
 def test_trajectory_is_pinned(name):
     """Bit for bit; on a processor that rounds otherwise, within 1e-6 of the torque limits."""
-    pinned, now = PINNED['trajectories'][name], trajectory(name)
+    pinned = PINNED['trajectories'][name]
+    now = trajectory(name)
     if pinned['sha256'] != now['sha256']:
         np.testing.assert_allclose(
             now['torque_share'], pinned['torque_share'], rtol=0.0, atol=1e-6

@@ -94,7 +94,8 @@ class Exchange:
 
     def goes_on(self, *, samples, within):
         """Return whether so many samples are answered within some periods."""
-        wanted, left = self.sample + samples, within
+        wanted = self.sample + samples
+        left = within
         while left > 0 and self.sample < wanted:
             self.run(samples)
             left -= samples

@@ -303,9 +303,7 @@ def contact_wrench(
     frame = control['frame']
     frame['position'] = position_world
     frame['sensor_position'], frame['sensor_rotation'] = sensor_pose
-    control['tool'], control['wrench'] = (
-        make_tool_record(tool, gravity_world),
-        wrench_sensor,
-    )
+    control['tool'] = make_tool_record(tool, gravity_world)
+    control['wrench'] = wrench_sensor
     operational_wrench(control[0], wrench)
     return wrench

@@ -155,7 +155,8 @@ def evaluate_sine_motion(config: SineConfig, time: float) -> tuple[float, float,
     if tau <= 0.0:
         return 0.0, 0.0, 0.0
     w = 2.0 * math.pi / config.period
-    sine, cosine = math.sin(w * tau), math.cos(w * tau)
+    sine = math.sin(w * tau)
+    cosine = math.cos(w * tau)
     b, db, ddb = quintic_blend(tau, config.blend_time)
     A = config.amplitude
     return (

@@ -28,13 +28,25 @@ def quaternion_from_rotation(
     trace = xx + yy + zz
     greatest = max(trace, xx, yy, zz)
     if greatest == trace:
-        x, y, z, w = zy - yz, xz - zx, yx - xy, 1.0 + trace
+        x = zy - yz
+        y = xz - zx
+        z = yx - xy
+        w = 1.0 + trace
     elif greatest == xx:
-        x, y, z, w = 1.0 - trace + 2.0 * xx, yx + xy, zx + xz, zy - yz
+        x = 1.0 - trace + 2.0 * xx
+        y = yx + xy
+        z = zx + xz
+        w = zy - yz
     elif greatest == yy:
-        x, y, z, w = xy + yx, 1.0 - trace + 2.0 * yy, zy + yz, xz - zx
+        x = xy + yx
+        y = 1.0 - trace + 2.0 * yy
+        z = zy + yz
+        w = xz - zx
     else:
-        x, y, z, w = xz + zx, yz + zy, 1.0 - trace + 2.0 * zz, yx - xy
+        x = xz + zx
+        y = yz + zy
+        z = 1.0 - trace + 2.0 * zz
+        w = yx - xy
     size = np.sqrt(x * x + y * y + z * z + w * w)
     return x / size, y / size, z / size, w / size
 

@@ -111,7 +111,8 @@ def _acting_input(
     plant: LinearArmPlant, answer: Matrix, real: int, period: float
 ) -> Matrix:
     """Return, as rows, the inputs that act at the end of the period."""
-    waiting, r = plant.delay / period, len(answer)
+    waiting = plant.delay / period
+    r = len(answer)
     whole = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
     first = 2 * r if whole else 3 * r
     if first >= real:

@@ -414,7 +414,8 @@ def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vect
     the poles of the delay states at 0. Returns E_d to E_1, shape (d, 2), and B, shape (2,), both
     per N/m.
     """
-    Phi_s, delayed = plant.Phi[:2, :2], plant.Phi[:2, 2:].T / stiffness
+    Phi_s = plant.Phi[:2, :2]
+    delayed = plant.Phi[:2, 2:].T / stiffness
     d = len(delayed)
     gains = np.zeros((d, 2))
     under_way = np.zeros(2)  # E_{j+1}
@@ -454,8 +455,11 @@ def use_model_stiffness(
     that of the configuration; see `predictor_gains`. What is known of the rate, x_2 = k dz/dt,
     goes with k [N/m]; c [N s/m].
     """
-    config, design, factor = stiffness.config, observer.design, k / stiffness.k
-    n, plain = design.states, design.states - design.order
+    config = stiffness.config
+    design = observer.design
+    factor = k / stiffness.k
+    n = design.states
+    plain = design.states - design.order
     if factor != 1.0:
         for i in range(2):
             design.Gamma[i] *= factor
@@ -475,10 +479,12 @@ def use_model_stiffness(
     omega_2 = omega_1 * config.pole_ratio
     if c > 0.0:
         omega_2 = min(omega_2, max(k / c, SLOWEST_POLE))
-    p_1, p_2 = np.exp(-config.period * omega_1), np.exp(-config.period * omega_2)
+    p_1 = np.exp(-config.period * omega_1)
+    p_2 = np.exp(-config.period * omega_2)
     f, e = config.way_of_speed, config.speed_kept
     b_1, b_2 = config.input_gain.way, config.input_gain.speed
-    total, product = p_1 + p_2, p_1 * p_2
+    total = p_1 + p_2
+    product = p_1 * p_2
     scale = 1.0 / (b_2 * (b_1 * (e - 1.0) - f * b_2))
     L_1 = -scale * b_2 * (1.0 - total + product)
     L_2 = scale * (b_1 * (e * e - total * e + product) - b_2 * f * (1.0 + e - total))
@@ -638,7 +644,8 @@ def follow_stiffness(
 @compiled
 def interpolate_ratio_limit(stiffness: Stiffness) -> float:
     """Return k over that of the model in use at which its loop is stable, from the curve of it."""
-    config, last = stiffness.config, LIMITS - 1
+    config = stiffness.config
+    last = LIMITS - 1
     limits = config.ratio_limit
     place = np.log(stiffness.k / config.lowest) / np.log(config.highest / config.lowest)
     step = 1.0 / last

@@ -249,7 +249,8 @@ class ContactMetrics:
             known = self.run.recorded[k - 1] and self.run.recorded[k]
             at_rest = k < 2 or desired[k - 1] == desired[k - 2]
             if known and at_rest:
-                before, after = float(desired[k - 1]), float(asked[k])
+                before = float(desired[k - 1])
+                after = float(asked[k])
                 steps.append(CommandedStep(float(data.time[k]), before, after))
         return steps
 

@@ -398,9 +398,11 @@ class ControllerLink(ServiceClientNode):
         self._kept: dict[Topic, deque[Any]] = {}
         self._subscriptions = {}
         for topic in (*heard, topics.STATUS):
-            kept, profile = deque[Any](maxlen=1), qos.GLANCE
+            kept = deque[Any](maxlen=1)
+            profile = qos.GLANCE
             if topic in QUEUED:
-                kept, profile = deque[Any](), qos.STREAM
+                kept = deque[Any]()
+                profile = qos.STREAM
             elif topic.profile == qos.LATCHED:
                 profile = qos.LATCHED
             self._kept[topic] = kept

@@ -235,7 +235,8 @@ def fill_change_cost(
             row[:] = jacobian[index]
             weight = MOTION_COST if index < 3 else turn_cost
         else:
-            contact, weight = contacts[index - 6], FORCE_COST
+            contact = contacts[index - 6]
+            weight = FORCE_COST
             if not contact.answer.active:
                 continue
             multiply_vector(jacobian.T, contact.N, row)

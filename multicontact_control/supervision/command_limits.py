@@ -131,7 +131,8 @@ def check_twist(
         That names the first speed or acceleration beyond its limit, and the limit's parameter.
 
     """
-    linear, angular = slice(0, 3), slice(3, 6)
+    linear = slice(0, 3)
+    angular = slice(3, 6)
     for name, part, parameter_name, unit in (
         ('speed', twist_world[linear], 'operational_speed', 'm/s'),
         ('angular speed', twist_world[angular], 'operational_turn', 'rad/s'),

@@ -720,7 +720,9 @@ def _limit_to_reach(
     an arm that is fast already is not braked by more than the reach asks for.
     """
     gap, reach = part.ahead, part.reach
-    squared, along, square = dot(gap, gap), dot(gap, way), dot(way, way)
+    squared = dot(gap, gap)
+    along = dot(gap, way)
+    square = dot(way, way)
     distance = np.sqrt(squared)
     together = squared + 2.0 * along + square
     if not (distance > reach or together > reach * reach):

@@ -114,7 +114,8 @@ class GraphSource:
             '': config.robot.operational_frame,
             **({'tool': setup.plant.tool_push_link} if setup.simulated else {}),
         }
-        self._motion, self._motion_identifier = CommandedMotion(config.limits), ''
+        self._motion = CommandedMotion(config.limits)
+        self._motion_identifier = ''
         self._delay = 0.0  # of a motion, that is still to be made up for [s]
         self._changes = source.EventDescriber(config.contact_names)
         self._timing = source.LoopTiming()
@@ -131,7 +132,8 @@ class GraphSource:
         self._answered = '', ''  # event and command of the last answer
         self._left_out_of = ''  # identifier of the motion of which that was told last
         self._anew = True  # whether the next snapshot is the first since samples began
-        self._held, self._heard = False, time.monotonic()
+        self._held = False
+        self._heard = time.monotonic()
         self._next_point = self._next_snapshot = 0.0
         self._drawn_until = 0.0  # time of the last point [s]
         self._stamps: deque[tuple[float, int]] = deque(
@@ -174,10 +176,8 @@ class GraphSource:
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
-        config, message = (
-            self._config,
-            self._link.receive_fresh(topics.MEASURED_FORCES)[0],
-        )
+        config = self._config
+        message = self._link.receive_fresh(topics.MEASURED_FORCES)[0]
         *gains, ceiling, joints = self._link.get_parameters(
             topics.CONTROLLER, *source.GAIN_NAMES, CEILING, JOINTS
         )
@@ -219,7 +219,8 @@ class GraphSource:
     def take_snapshots(self) -> list[source.Snapshot]:
         """Return a snapshot if it is time for one; RunError if the graph has ended."""
         self._check()
-        now, before = time.monotonic(), self._stamp
+        now = time.monotonic()
+        before = self._stamp
         for stream in self._streams.values():
             stream.take_messages()
         message = self._link.get_newest(topics.MEASURED_FORCES)
@@ -277,11 +278,9 @@ class GraphSource:
 
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
-        now, refused, answer = (
-            self._time,
-            status.event == REFUSED,
-            (status.event, status.command),
-        )
+        now = self._time
+        refused = status.event == REFUSED
+        answer = (status.event, status.command)
         of_motion = (
             refused and self._motion.what and status.command == self._motion_identifier
         )
@@ -483,7 +482,8 @@ class GraphSource:
         if self._held:
             raise CommandError('~/hold', hint='the arm is held; release the hold first')
         if not self._motion.what:
-            self._motion_identifier, self._delay = new_identifier(), 0.0
+            self._motion_identifier = new_identifier()
+            self._delay = 0.0
             desired = self._link.receive_fresh(topics.POSE_DESIRED)[0]
             self._motion.start(*messages.pose_arrays(desired.pose))
 

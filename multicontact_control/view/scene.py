@@ -299,18 +299,14 @@ class SceneView:
             tip = pose.position_world - PUSH * force / size
             tail = tip - (METRES_PER_NEWTON + PUSH / size) * force
             self._push.points = np.array([[tail, tip]], dtype=np.float32)
-            self._push_label.text, self._push_label.position = (
-                f'push {size:g} N',
-                tail + ABOVE,
-            )
+            self._push_label.text = f'push {size:g} N'
+            self._push_label.position = tail + ABOVE
 
     def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
         """Draw the surfaces where they are; those whose place is not known where they are felt."""
         for i, surface in enumerate(self._scene.surfaces):
-            place, patch = (
-                snapshot.places_world.get(surface.name),
-                self._patches.get(surface.name),
-            )
+            place = snapshot.places_world.get(surface.name)
+            patch = self._patches.get(surface.name)
             if (
                 patch is None
                 and place is None

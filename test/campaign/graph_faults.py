@@ -17,7 +17,8 @@ from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, S
 import numpy as np
 
 KILL, HALT = ('kill',), ('halt',)
-DEACTIVATE, RESTART = ('deactivate',), ('deactivate', 'activate') * 2
+DEACTIVATE = ('deactivate',)
+RESTART = ('deactivate', 'activate') * 2
 CONFIGURE_AGAIN = ('deactivate', 'cleanup', 'configure')
 BURST = 10  # messages that come at once
 

@@ -73,7 +73,8 @@ class Stream:
 def main():
     """Pass messages on until the standard input is closed."""
     start_ros([])
-    node, executor = Node('fault_relay'), EventsExecutor()
+    node = Node('fault_relay')
+    executor = EventsExecutor()
     executor.add_node(node)
     streams = {source: Stream(node, topic) for source, topic in INPUTS.items()}
     line = 'none'

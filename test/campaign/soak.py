@@ -223,7 +223,8 @@ class Soak:
 
 def episodes(plant, seed, duration):
     """Return the lines of the episodes of a time [s]."""
-    soak, lines = Soak(plant, seed), []
+    soak = Soak(plant, seed)
+    lines = []
     with contextlib.closing(soak.loop):
         while not lines or lines[-1]['time_s'] < duration:
             lines.append({'plant': plant, 'seed': seed, **soak.episode()})

@@ -108,7 +108,8 @@ def run(cell):
     setup = resolve_setup(cell)
     robot = RobotModel(setup.controller.robot, setup.urdf_dir)
     speeds, forces, places = [], [0.0], []
-    causes, corrupt = set(), None
+    causes = set()
+    corrupt = None
     ticks = LONG_TICKS if cell.fault.startswith('wrench') else TICKS
     # RunError: the arm is thrown out of all numbers.
     with closing(ClosedLoop(setup, commanded=True)) as loop, suppress(RunError):

@@ -47,7 +47,8 @@ def test_robot_chooses_plants_and_the_factor_of_that_name(multicontact):
 
 @pytest.mark.slow
 def test_ended_study_goes_on_where_it_was(multicontact, tmp_path):
-    study, out = tmp_path / 'small.yaml', tmp_path / 'out'
+    study = tmp_path / 'small.yaml'
+    out = tmp_path / 'out'
     study.write_text(STUDY)
     # In a group of its own, as a terminal does.
     process = start_command(

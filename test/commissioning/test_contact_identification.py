@@ -70,7 +70,8 @@ def test_more_delay_of_the_actuator_is_identified(recording):
 
 def test_error_of_the_noise_is_that_of_many_recordings():
     """White noise in 2000 recordings of one contact at rest: the scatter of what is found."""
-    random, rest = np.random.default_rng(4), np.zeros(200)
+    random = np.random.default_rng(4)
+    rest = np.zeros(200)
     estimates = [
         find_noise_at_rest(
             ContactSignals(NOISE * random.normal(size=200), rest + 10.0, *[rest] * 5)

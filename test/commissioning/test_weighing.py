@@ -44,11 +44,13 @@ REST, MOVE = 2.0, 0.8  # s
 
 def led_arm(file, offset, touched):
     """Yield messages of an arm led from pose to pose, whose sensor has stamps of its own."""
-    read, random = read_controller_files([file]), np.random.default_rng(0)
+    read = read_controller_files([file])
+    random = np.random.default_rng(0)
     robot = RobotModel(read.config().robot, read.urdf_dir)
     for k in range(round(len(POSES) * (REST + MOVE) * RATE)):
         number, at = divmod(k / RATE, REST + MOVE)
-        here, there = POSES[int(number)], POSES[min(int(number) + 1, len(POSES) - 1)]
+        here = POSES[int(number)]
+        there = POSES[min(int(number) + 1, len(POSES) - 1)]
         q = here + max(at - REST, 0.0) / MOVE * (there - here)
         wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
         wrench += predict_weight_reading(

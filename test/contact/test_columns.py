@@ -69,7 +69,8 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
 
 def test_measured_forces_are_generalised_least_squares():
     random = np.random.default_rng(3)
-    lever, wrench = np.array([0.01, 0.02, 0.06]), random.standard_normal(6)
+    lever = np.array([0.01, 0.02, 0.06])
+    wrench = random.standard_normal(6)
     records = columns([FORCE, ALONG], friction=0.3)
     N = normal_space(records, np.eye(3))
     shift = np.eye(6)  # moves a wrench from the operational point to the sensor
@@ -83,7 +84,8 @@ def test_measured_forces_are_generalised_least_squares():
         np.diag([0.05**2] * 3 + [0.004**2] * 3)
         + shift @ (0.3**2 * (T @ T.T + HALF**2 * np.outer(turn, turn))) @ shift.T
     )
-    A, weight = shift @ N, np.linalg.inv(W)
+    A = shift @ N
+    weight = np.linalg.inv(W)
     expected = np.linalg.solve(A.T @ weight @ A, A.T @ weight @ shift @ wrench)
     assert measure_contacts(
         control(wrench, separated=True, lever=lever), records, SPACE
@@ -156,14 +158,16 @@ DOWNHILL = np.array([np.cos(TILT), 0.0, np.sin(TILT)])
 
 def follow(velocity, ticks=1):
     """Return the normal after samples of 10 N on a tilted surface that rubs with 1 N."""
-    frame, contacts = np.zeros(1, dtype=FRAME), np.zeros(1, dtype=CONTACT)
+    frame = np.zeros(1, dtype=FRAME)
+    contacts = np.zeros(1, dtype=CONTACT)
     frame['rotation'] = np.eye(3)
     frame['twist'][0, :3] = velocity
     configured = np.array([0.0, 0.0, -1.0])
     config = contacts['config']
     contacts['normal'] = config['normal'] = configured
     contacts['answer']['active'], config['normal_gain'] = True, 0.1
-    config['turn_limit'], config['smallest_cosine'] = 0.1, np.cos(0.6)
+    config['turn_limit'] = 0.1
+    config['smallest_cosine'] = np.cos(0.6)
     for _ in range(ticks):
         normal = contacts['normal'][0]
         force = 10.0 * TRUE_NORMAL + velocity / max(np.linalg.norm(velocity), 1e-9)

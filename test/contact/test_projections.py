@@ -44,7 +44,9 @@ def factorised(N, Lambda=None):
 
 def projections(N, Lambda=None):
     """Return Omega_f, as the dual of Omega_c, and Omega_m."""
-    Omega_m, Omega_c, column = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    Omega_m = np.empty((6, 6))
+    Omega_c = np.empty((6, 6))
+    column = np.empty(6)
     for k, unit in enumerate(np.eye(6)):
         for matrix, f_t, f_c in (
             (Omega_m, unit, np.zeros(6)),
@@ -60,7 +62,8 @@ def projections(N, Lambda=None):
 
 def allocate_force(N, alpha_star, allocation):
     rows, _, factor = factorised(N)
-    law, f_c = np.zeros(1, dtype=LAW), np.empty(6)
+    law = np.zeros(1, dtype=LAW)
+    f_c = np.empty(6)
     law['decoupled'] = allocation == 'decoupled'
     contacts = np.zeros(len(rows), dtype=CONTACT)
     apply_force_law(
@@ -128,10 +131,8 @@ def test_contact_normals_are_those_of_the_equation(seed, count):
 def test_operational_stiffness_of_the_planar_example():
     """k_s = k_env (1 + l^2 sin^2 gamma) (P04 eq. 21): the loop commands so much less."""
     l, gamma = 0.7, 0.6
-    normal, lever = (
-        np.array([0.0, 1.0, 0.0]),
-        l * np.array([np.sin(gamma), np.cos(gamma), 0.0]),
-    )
+    normal = np.array([0.0, 1.0, 0.0])
+    lever = l * np.array([np.sin(gamma), np.cos(gamma), 0.0])
     expected = 6000.0 * (1.0 + (l * np.sin(gamma)) ** 2)
     assert operational_stiffness(6000.0, normal, lever) == pytest.approx(
         expected, rel=1e-14
@@ -186,7 +187,8 @@ def test_euclidean_projections_of_the_planar_example():
 
 
 def test_projections_are_those_of_the_equations_in_full_matrices():
-    N, Lambda = overlapping(), task_inertia('inertia')
+    N = overlapping()
+    Lambda = task_inertia('inertia')
     for result, expected in (
         (projections(N), equations.euclidean_projections(N)),
         (projections(N, Lambda), equations.inertia_projections(N, Lambda)),
@@ -196,7 +198,8 @@ def test_projections_are_those_of_the_equations_in_full_matrices():
 
 def test_contact_coordinates_are_the_forces_for_any_free_part():
     """N^+ (N alpha + T beta) = alpha (P04 eq. 7); rates invert either allocation."""
-    N, random = overlapping(), np.random.default_rng(0)
+    N = overlapping()
+    random = np.random.default_rng(0)
     wrench = N @ INPUTS + free_motions(N) @ random.standard_normal(3)
     np.testing.assert_allclose(contact_rates(N, wrench, 'paper'), INPUTS, atol=1e-12)
     for allocation in ('paper', 'decoupled'):
@@ -227,7 +230,8 @@ def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit
                 N.T @ Omega_c @ f_c / scale
             )  # back in m/s^2
         np.testing.assert_allclose(accelerations['decoupled', scale], INPUTS, rtol=1e-9)
-    paper, N = accelerations['paper', 1.0], overlapping()
+    paper = accelerations['paper', 1.0]
+    N = overlapping()
     np.testing.assert_allclose(paper, N.T @ N @ INPUTS, rtol=1e-9)
     assert (np.abs(paper / (np.diag(N.T @ N) * INPUTS) - 1.0) > 0.1).all()
     assert np.abs(accelerations['paper', 1000.0] / paper - 1.0).min() > 1.0
@@ -250,11 +254,10 @@ def test_paper_allocation_decouples_orthogonal_contacts():
 
 def test_placed_way_is_what_normals_and_axes_of_couples_take_of_a_way():
     """Of an edge along x on a level surface, and of a point on an oblique one."""
-    down, oblique = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.6, -0.8])
-    force, couple = (
-        np.append(down, [0.1, 0.2, 0.0]),
-        np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0]),
-    )
+    down = np.array([0.0, 0.0, -1.0])
+    oblique = np.array([0.0, 0.6, -0.8])
+    force = np.append(down, [0.1, 0.2, 0.0])
+    couple = np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
     way = np.array([0.3, 0.0, 0.5, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(
         project_on_contacts(way, np.array([force, couple])),

@@ -52,7 +52,9 @@ def test_force_noise_is_that_of_drawn_readings(friction_std):
     )
     expected = force_noise(law.controls, law.contacts, NOISE)
     readings = NOISE * np.random.default_rng(0).standard_normal((4000, 6))
-    controls, columns, drawn = law.controls.copy(), law.contacts.copy(), []
+    controls = law.controls.copy()
+    columns = law.contacts.copy()
+    drawn = []
     controls['tool'] = 0
     for reading in readings:
         controls['wrench'] = reading

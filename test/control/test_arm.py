@@ -132,7 +132,8 @@ def test_friction_along_the_motion_raises_the_threshold_up_to_its_limit(
     residual, learnt
 ):
     """From what is declared, 0.5 N m, to 2 N m; against the motion it is no friction."""
-    controls, joints = np.zeros(1, dtype=CONTROL), np.zeros(1, dtype=JOINT)
+    controls = np.zeros(1, dtype=CONTROL)
+    joints = np.zeros(1, dtype=JOINT)
     controls['momentum']['elapsed'] = H
     config = joints['config']
     config['least_threshold'] = 1.0
@@ -147,10 +148,8 @@ def test_friction_along_the_motion_raises_the_threshold_up_to_its_limit(
 
 def test_touch_has_passed_once_all_residuals_are_small_for_a_while():
     """A quarter of the threshold for 0.1 s, of either sign; told once."""
-    momenta, joints = (
-        np.zeros(1, dtype=CONTROL)['momentum'],
-        np.zeros(2, dtype=JOINT),
-    )
+    momenta = np.zeros(1, dtype=CONTROL)['momentum']
+    joints = np.zeros(2, dtype=JOINT)
     momenta['elapsed'] = H
     joints['watch']['threshold'] = 1.0
 

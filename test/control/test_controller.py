@@ -37,7 +37,8 @@ def make_law(reference=None, **changes):
 
 def sample(law, time=0.0, qd=REST, **forces):
     """Return a sample at home, with forces on contacts."""
-    state, config = law.robot.update(HOME, qd), law.config
+    state = law.robot.update(HOME, qd)
+    config = law.config
     weight = predict_weight_reading(
         state.sensor_pose.rotation_world,
         config.tool,
@@ -132,7 +133,8 @@ class RandomTask:
 
 def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
     """Compare both laws on random states and contacts, to a tolerance of the largest."""
-    count, random = len(config.contact_names), np.random.default_rng(0)
+    count = len(config.contact_names)
+    random = np.random.default_rng(0)
     compiled = Law(config, RandomTask(count), base_dir)
     plain = ReferenceController(
         config,
@@ -231,7 +233,8 @@ def test_law_equals_numpy_for_every_feed_forward(fed_forward, allocation, stiffn
 def test_law_equals_numpy_with_seven_joints_and_up_to_six_oblique_contacts(
     tmp_path, count, allocation, projection
 ):
-    random, names = np.random.default_rng(count), [f'contact{i}' for i in range(count)]
+    random = np.random.default_rng(count)
+    names = [f'contact{i}' for i in range(count)]
     normals = random.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     config = controller_config(
@@ -307,9 +310,12 @@ def test_torques_have_no_spike_on_the_way_through_a_singularity(
     joint, start, end, offset
 ):
     """Within 40 % of the limits beside gravity, and no more than 2 % of them from tick to tick."""
-    follow, limit = Follow(offset), np.array(controller_config().torque_limit)
+    follow = Follow(offset)
+    limit = np.array(controller_config().torque_limit)
     law = Law(controller_config(torque_limit=[], limits={'torque_rate': []}), follow)
-    qd, torques, gravity = (end - start) * np.eye(6)[joint], [], []
+    qd = (end - start) * np.eye(6)[joint]
+    torques = []
+    gravity = []
     for k in range(501):
         q = HOME.copy()
         q[joint] = start + (end - start) * k / 500

@@ -16,12 +16,14 @@ FAR = {
     'table': {'point_world': [0.0, 0.55, -5.0]},
     'board': {'point_world': [0.0, 5.0, 0.46]},
 }
-PUSH, TOOL_PUSH = np.array([12.0, -5.0, 8.0]), np.array([3.0, -6.0, 4.0])
+PUSH = np.array([12.0, -5.0, 8.0])
+TOOL_PUSH = np.array([3.0, -6.0, 4.0])
 
 
 def classic_observer(model, q, v, torque):
     """Return r = K (p_0 - p + int (Gamma + C^T v - g - r) dt), as published, at every sample."""
-    data, n = model.createData(), q.shape[1]
+    data = model.createData()
+    n = q.shape[1]
     momenta, rates = [], []
     for each_q, each_v in zip(q, v):
         M = pin.crba(model, data, each_q)
@@ -29,7 +31,8 @@ def classic_observer(model, q, v, torque):
         C = pin.computeCoriolisMatrix(model, data, each_q, each_v)
         momenta.append(M @ each_v)
         rates.append(C.T @ each_v - pin.computeGeneralizedGravity(model, data, each_q))
-    residuals, integral = [np.zeros(n)], np.zeros(n)
+    residuals = [np.zeros(n)]
+    integral = np.zeros(n)
     for k in range(1, len(q)):
         integral = integral + H * (torque[k] + 0.5 * (rates[k] + rates[k - 1]))
         # r enters its own integral: backward Euler.
@@ -46,10 +49,8 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     controls['tool'] = make_tool_record(
         config.tool, np.array(config.robot.gravity_world)
     )
-    controls['law']['friction_speed'], controls['momentum']['config']['bandwidth'] = (
-        1.0,
-        K,
-    )
+    controls['law']['friction_speed'] = 1.0
+    controls['momentum']['config']['bandwidth'] = K
     arm = ArmState(robot, controls, np.zeros(0, dtype=CONTACT))
     arm.joints['watch']['threshold'] = 1.0
     plant = Plant(
@@ -65,15 +66,14 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
         rate=1.0 / H,
         seed=0,
     )
-    rows, tip = [], plant.model.getFrameId('tip_board')
+    rows = []
+    tip = plant.model.getFrameId('tip_board')
     try:
         sample = plant.reset()
         plant.push(TOOL_PUSH, 9.0, tool=True)
         for k in range(500):
-            controls['wrench'], arm.joints['watch']['effort'] = (
-                sample.wrench,
-                sample.effort,
-            )
+            controls['wrench'] = sample.wrench
+            arm.joints['watch']['effort'] = sample.effort
             controls['momentum']['elapsed'] = H if k else 0.0
             arm.motion[:] = sample.q, sample.qd
             arm.take_motion()

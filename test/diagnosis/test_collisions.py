@@ -35,10 +35,8 @@ def rubbing(folder, **controller):
 def test_undeclared_friction_is_learnt_and_named(tmp_path):
     """The wall is reached, and a joint without friction stays as it is."""
     with closing(rubbing(tmp_path)) as loop:
-        joints, names = (
-            loop.control.supervisor.controller.arm.joints,
-            loop.setup.controller.robot.joint_names,
-        )
+        joints = loop.control.supervisor.controller.arm.joints
+        names = loop.setup.controller.robot.joint_names
         elbow_forces(loop, 3500)
         assert not loop.control.events.collisions
         assert loop.status.contact_states == ('holding', 'holding')

@@ -10,10 +10,8 @@ from robots import robot_parameters
 from scipy.spatial.transform import Rotation
 
 WEIGHS = 'weigh as if gravity were'
-LATE, AXES = (
-    'the wrench reads what the torques have shown about',
-    'the wrench sensor reads',
-)
+LATE = 'the wrench reads what the torques have shown about'
+AXES = 'the wrench sensor reads'
 EXCHANGED = {
     'x and y': ([1, 0, 2], [1.0, 1.0, 1.0]),
     'x and z': ([2, 1, 0], [1.0, 1.0, 1.0]),

@@ -60,7 +60,8 @@ def test_dynamics_agree_with_roboticstoolbox(puma, sample):
 
 def test_jacobian_and_drift_agree_with_finite_differences(tmp_path):
     model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
-    rng, h = np.random.default_rng(0), 1e-6
+    rng = np.random.default_rng(0)
+    h = 1e-6
     for _ in range(5):
         q, v = rng.standard_normal((2, 7))
         state, ahead, behind = (
@@ -80,10 +81,8 @@ def test_jacobian_and_drift_agree_with_finite_differences(tmp_path):
 
 
 def test_model_carries_another_load_than_its_urdf_has():
-    config, load = (
-        controller_config(),
-        ToolConfig(mass=1.7, com_sensor=(0.05, -0.03, 0.11)),
-    )
+    config = controller_config()
+    load = ToolConfig(mass=1.7, com_sensor=(0.05, -0.03, 0.11))
     models = [load_model(find_config_folder() / config.robot.urdf) for _ in range(3)]
     for model, tool in zip(models, (load, config.tool)):
         frame = model.frames[model.getFrameId(config.robot.sensor_frame)]
@@ -106,7 +105,8 @@ def test_model_carries_another_load_than_its_urdf_has():
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.8))
 def test_rotation_error_is_scipys_rotation_vector(seed, size):
     a, b = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 3))
-    R_des, R = Rotation.from_rotvec(a).as_matrix(), Rotation.from_rotvec(b).as_matrix()
+    R_des = Rotation.from_rotvec(a).as_matrix()
+    R = Rotation.from_rotvec(b).as_matrix()
     error = rotation_vector_between(R_des, R)
     np.testing.assert_allclose(
         Rotation.from_rotvec(error).as_matrix() @ R, R_des, atol=1e-7
@@ -165,7 +165,8 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
         return arm.replace('</robot>', fingers + '</robot>')
 
     limit = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
-    vendor, welded = tmp_path / 'vendor.urdf', tmp_path / 'welded.urdf'
+    vendor = tmp_path / 'vendor.urdf'
+    welded = tmp_path / 'welded.urdf'
     vendor.write_text(
         with_fingers('prismatic', (0, 0))
         .replace('type="revolute"', 'type="continuous"')
@@ -185,7 +186,8 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
             'locked_positions': (0.03, 0.01),
         }
     )
-    q, v = np.linspace(-4.0, 4.0, 7), np.linspace(0.3, -0.5, 7)
+    q = np.linspace(-4.0, 4.0, 7)
+    v = np.linspace(0.3, -0.5, 7)
     state, expected = (
         RobotModel(each, tmp_path).update(q, v)
         for each in (locked, seven_joint_config(welded))
@@ -227,7 +229,8 @@ def test_model_refuses_a_joint_that_mimics_another_unless_it_is_locked(tmp_path)
     urdf_of_six = tmp_path / 'plain.urdf'
     urdf_of_six.write_text(plain)
     expected = RobotModel(locked.model_copy(update={'urdf': 'plain.urdf'}), tmp_path)
-    q, v = np.linspace(-1.0, 1.0, 6), np.linspace(0.3, -0.5, 6)
+    q = np.linspace(-1.0, 1.0, 6)
+    v = np.linspace(0.3, -0.5, 6)
     np.testing.assert_array_equal(
         RobotModel(locked, tmp_path).update(q, v).mass_matrix,
         expected.update(q, v).mass_matrix,
@@ -258,7 +261,9 @@ def test_arm_of_more_joints_than_a_tick_has_room_for_is_refused(tmp_path):
 def torque_for(model, q, v, acceleration, **nullspace):
     """Return J^T Lambda (a + bias), with the null space as records of `LAW` and `JOINT` say it."""
     controls = np.zeros(1, dtype=CONTROL)
-    law, terms, contacts = controls['law'], model.terms, np.zeros(0, dtype=CONTACT)
+    law = controls['law']
+    terms = model.terms
+    contacts = np.zeros(0, dtype=CONTACT)
     arm = ArmState(model, controls, contacts)
     arm.joints['config']['torque_limit'] = np.inf
     controls['task']['acceleration'] = acceleration
@@ -284,10 +289,8 @@ def torque_for(model, q, v, acceleration, **nullspace):
 
 def test_operational_force_gives_the_commanded_acceleration():
     """F = Lambda a + mu + p makes the operational point accelerate by a (P04 eqs 24-25)."""
-    puma, rng = (
-        RobotModel(controller_config().robot, find_config_folder()),
-        np.random.default_rng(1),
-    )
+    puma = RobotModel(controller_config().robot, find_config_folder())
+    rng = np.random.default_rng(1)
     for _ in range(10):
         q, v, a = HOME + 0.3 * rng.standard_normal(6), *rng.standard_normal((2, 6))
         torque = torque_for(puma, q, v, a)
@@ -313,7 +316,8 @@ def test_redundant_arm_gives_the_commanded_acceleration_in_any_null_space_motion
             rng.standard_normal(6),
             np.ones(7),
         )
-        lower, upper = q - 0.05, q + np.array([0.03] * 3 + [np.inf] * 4)
+        lower = q - 0.05
+        upper = q + np.array([0.03] * 3 + [np.inf] * 4)
         free, damped, pulled = (
             torque_for(model, q, v, a, **each)
             for each in (
@@ -406,11 +410,14 @@ def test_model_check_names_each_damage_or_it_does_no_harm(tmp_path):
     And no direction has an inertia that is wrong by more than a factor of 2.
     """
     urdf, config = make_seven(tmp_path)
-    whole, random = urdf.read_text(), np.random.default_rng(7)
+    whole = urdf.read_text()
+    random = np.random.default_rng(7)
     true = RobotModel(config.robot, tmp_path)
     assert true.warnings() == ()
-    zero, limit = np.zeros(true.joint_count), true.torque_limit
-    postures, harmless = random.uniform(-1.5, 1.5, (10, true.joint_count)), 0
+    zero = np.zeros(true.joint_count)
+    limit = true.torque_limit
+    postures = random.uniform(-1.5, 1.5, (10, true.joint_count))
+    harmless = 0
     for which, (kind, path, factor) in product(
         range(true.joint_count),
         [*(('link', *x) for x in LINK_FAULTS), *(('joint', *x) for x in JOINT_FAULTS)],
@@ -430,7 +437,8 @@ def test_model_check_names_each_damage_or_it_does_no_harm(tmp_path):
         harmless += 1
         model = RobotModel(config.robot, tmp_path)
         for q in postures:
-            right, wrong = true.update(q, zero), model.update(q, zero)
+            right = true.update(q, zero)
+            wrong = model.update(q, zero)
             assert (np.abs(wrong.gravity - right.gravity) < 0.03 * limit).all()
             shares = np.linalg.eigvals(
                 np.linalg.solve(right.mass_matrix, wrong.mass_matrix)

@@ -30,7 +30,9 @@ from robots import needs_mujoco
 
 TICKS, H = 500, 0.002
 PANDA = {'scenario': 'one_contact', 'robot': 'panda', 'plant': 'rigid'}
-X, Y, DOWN = np.eye(3)[0], np.eye(3)[1], -np.eye(3)[2]
+X = np.eye(3)[0]
+Y = np.eye(3)[1]
+DOWN = -np.eye(3)[2]
 
 
 def record_still_arm(setup, *, force=10.0, command=10.0, torque=0.0, **motion):

@@ -71,7 +71,8 @@ def loop():
 
 def force_error(loop, order, disturbance):
     """Return the last error of the force where an observer holds 10 N, and its estimates."""
-    observer, x = ActiveObserver(loop, order=order), np.zeros(5)
+    observer = ActiveObserver(loop, order=order)
+    x = np.zeros(5)
     for each in disturbance:
         observer.update(x[0], 0.6)
         x = loop.plant.Phi @ x + loop.plant.Gamma * (observer.command(10.0) + each)
@@ -83,7 +84,8 @@ def force_error(loop, order, disturbance):
 def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
     """With a variance that jumps; a sample without a wrench has an infinite one."""
     options = {'order': order, 'process_noise': 2e-3}
-    observer, random = ActiveObserver(loop, **options), np.random.default_rng(4)
+    observer = ActiveObserver(loop, **options)
+    random = np.random.default_rng(4)
     literal = equations.Observer(
         loop.plant.Phi, loop.plant.Gamma, loop.L, initial_covariance=1e-3, **options
     )
@@ -121,7 +123,8 @@ def update_covariance(observers, variances, spaces):
 @pytest.mark.parametrize('order', range(MAX_ORDER + 1))
 def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping_rate):
     """R jumps between floor and ceiling: every tick, at random times and every 20 000 ticks."""
-    random, third = np.random.default_rng(11), 100_000
+    random = np.random.default_rng(11)
+    third = 100_000
     high = np.concatenate(
         [
             np.arange(third) % 2,
@@ -144,7 +147,8 @@ def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping
 
 def test_active_state_compensates_a_constant_disturbance_and_a_ramp(loop):
     """p_k = p_k-1 leaves no error at rest, p_k = 2 p_k-1 - p_k-2 none in a ramp (P04 sec. 4)."""
-    constant, ramp = np.full(1500, 0.05), 1e-4 * np.arange(3000)
+    constant = np.full(1500, 0.05)
+    ramp = 1e-4 * np.arange(3000)
     assert force_error(loop, 0, constant)[0] > 0.5
     error, x_est = force_error(loop, 1, constant)
     assert error < 1e-6 and x_est[-1] == pytest.approx(0.05, rel=1e-4)
@@ -153,7 +157,8 @@ def test_active_state_compensates_a_constant_disturbance_and_a_ramp(loop):
 
 def test_continue_from_predicts_with_the_input_that_acts(loop):
     faster = design_force_loop(time_constant=0.01)
-    old, unchanged = ActiveObserver(loop), ActiveObserver(loop)
+    old = ActiveObserver(loop)
+    unchanged = ActiveObserver(loop)
     forces = np.random.default_rng(1).normal(5.0, 1.0, 20)
     for observer in (old, unchanged):
         for force in forces:

@@ -24,26 +24,20 @@ def answer_again(count, laws, contacts, controls, inputs, spaces):
 def test_force_laws_allocate_nothing(preset):
     """As much for one answer as for many: what their arguments take."""
     config = resolve('quick', preset=preset).controller
-    laws, contacts = (
-        make_force_laws(config),
-        np.zeros(len(config.columns), dtype=CONTACT),
-    )
-    control, space = np.zeros(1, dtype=CONTROL), np.zeros(1, dtype=FORCE_SPACE)
+    laws = make_force_laws(config)
+    contacts = np.zeros(len(config.columns), dtype=CONTACT)
+    control = np.zeros(1, dtype=CONTROL)
+    space = np.zeros(1, dtype=FORCE_SPACE)
     contacts['answer']['active'], control['measured'] = True, True
-    contacts['alpha_meas'], contacts['noise_variance'], contacts['mobility'] = (
-        5.0,
-        0.6,
-        1.0,
-    )
-    contacts['N'], control['frame']['twist'] = (
-        np.eye(6)[2],
-        [0.01, 0.0, 0.02, 0.0, 0.0, 0.0],
-    )
-    control['law']['period'], control['law']['K_2'] = (
-        config.period,
-        config.force.damping_rate,
-    )
-    inputs, allocations = np.zeros(len(contacts)), []
+    contacts['alpha_meas'] = 5.0
+    contacts['noise_variance'] = 0.6
+    contacts['mobility'] = 1.0
+    contacts['N'] = np.eye(6)[2]
+    control['frame']['twist'] = [0.01, 0.0, 0.02, 0.0, 0.0, 0.0]
+    control['law']['period'] = config.period
+    control['law']['K_2'] = config.force.damping_rate
+    inputs = np.zeros(len(contacts))
+    allocations = []
     _nrt_python.memsys_enable_stats()
     for count in (1, 1, 100):  # the first compiles
         before = rtsys.get_allocation_stats().alloc

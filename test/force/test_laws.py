@@ -84,7 +84,8 @@ def law_of(name, **force):
 
 def run_steps(law, alphas, desired, speeds, extra=None):
     """Return what the compiled law answers to series."""
-    record, contact = law.record()[0], np.zeros(1, dtype=CONTACT)[0]
+    record = law.record()[0]
+    contact = np.zeros(1, dtype=CONTACT)[0]
     answers = []
     for k, values in enumerate(zip(alphas, desired, speeds)):
         contact['alpha_meas'], contact['answer']['alpha_des'] = values[:2]
@@ -147,7 +148,8 @@ def test_impedance_is_a_spring_from_the_touch_on():
 
 def one_contact(desired):
     """Return the records of an active contact along z and its control; R = 0.6."""
-    contacts, control = np.zeros(1, dtype=CONTACT), np.zeros(1, dtype=CONTROL)
+    contacts = np.zeros(1, dtype=CONTACT)
+    control = np.zeros(1, dtype=CONTROL)
     contacts['answer']['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     contacts['noise_variance'], contacts['answer']['alpha_des'] = 0.6, desired
     control['measured'], contacts['mobility'] = True, 1.0
@@ -159,7 +161,8 @@ def hold(laws, ticks, *, disturbance, desired=10.0, state=None):
     contacts, control = one_contact(desired)
     plant = make_delayed_plant(K, 100.0, DELAY, H)
     x = desired * np.eye(len(plant.Gamma))[0] if state is None else state
-    inputs, forces = np.empty(1), []
+    inputs = np.empty(1)
+    forces = []
     for _ in range(ticks):
         contacts['alpha_meas'] = x[0]
         control['frame']['twist'][0, 2] = x[1] / K
@@ -202,7 +205,8 @@ def test_law_compensates_a_constant_disturbance_if_it_integrates(name):
 def test_law_that_takes_over_knows_force_and_disturbance(before, after):
     """At rest under a disturbance that by itself moves the force by more than half a newton."""
     laws, before_it, x = settled(before)
-    new, unaware = laws_of(after), laws_of(after)
+    new = laws_of(after)
+    unaware = laws_of(after)
     continue_laws(new, laws)
     forces, _ = hold(new, 500, disturbance=0.5, state=x)
     assert np.abs(forces - before_it[-1]).max() < 0.4
@@ -215,11 +219,9 @@ def test_law_that_takes_over_knows_force_and_disturbance(before, after):
 def test_law_knows_what_acts_beyond_its_answer(name):
     estimates = []
     for aware in (True, False):
-        laws, inputs, (contacts, control) = (
-            laws_of(name),
-            np.empty(1),
-            one_contact(20.0),
-        )
+        laws = laws_of(name)
+        inputs = np.empty(1)
+        (contacts, control) = one_contact(20.0)
         for _ in range(100):  # everything is clipped: nothing moves
             answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
             if aware:
@@ -240,8 +242,10 @@ def test_law_knows_what_acts_beyond_its_answer(name):
 @pytest.mark.parametrize('name', [name for name in FORCE_LAWS if name != 'feedforward'])
 def test_margins_are_where_the_loop_becomes_unstable(name):
     config = config_of(name)
-    law, model = law_of(name), make_loop_model(config, K)
-    margins, (_, stiffest) = find_margins(law, model), find_stable_ratios(law, model)
+    law = law_of(name)
+    model = make_loop_model(config, K)
+    margins = find_margins(law, model)
+    (_, stiffest) = find_stable_ratios(law, model)
     if np.isfinite(stiffest):
         assert spectral_radius(closed_loop_matrix(law, model, 0.98 * stiffest)) < 1.0
         assert spectral_radius(closed_loop_matrix(law, model, 1.02 * stiffest)) > 1.0
@@ -312,20 +316,16 @@ def test_design_depends_on_the_gains_that_its_law_says_it_reads_and_on_no_others
     before = design_law(name, config.force, model)
     for field, other in OTHER_GAINS.items():
         force = config.force.model_copy(update={field: other})
-        direct, design = (
-            find_law(name).design(model, force),
-            design_law(name, force, model),
-        )
+        direct = find_law(name).design(model, force)
+        design = design_law(name, force, model)
         assert (design is before) == (field not in find_law(name).reads), field
         np.testing.assert_equal(asdict(design), asdict(direct))
 
 
 def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
     config = resolve('quick', preset='adaptive').controller
-    laws, known = (
-        make_force_laws(config),
-        find_largest_stiffness_ratio.cache_info().misses,
-    )
+    laws = make_force_laws(config)
+    known = find_largest_stiffness_ratio.cache_info().misses
     for field in set(OTHER_GAINS) - set(find_law('aob').reads):
         force = config.force.model_copy(update={field: OTHER_GAINS[field]})
         make_force_laws(config.model_copy(update={'force': force}))

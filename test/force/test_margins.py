@@ -81,7 +81,8 @@ def test_stable_ratios_end_where_a_scan_of_ratios_does(
 @pytest.mark.parametrize('delay', [0.0, 0.5, 1.0, 2.5, 3.0])
 def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
     """One period of the matrix is one tick of the AOBs on a finely integrated plant."""
-    k, c = 1.5 * K, 30.0
+    k = 1.5 * K
+    c = 30.0
     tool = 0.5
     own = 5.0
     aob = observer_of()

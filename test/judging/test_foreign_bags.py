@@ -147,7 +147,8 @@ def test_recording_that_is_cut_off_is_read_up_to_there(bag, tmp_path):
 
 def metadata_of(folder):
     """Write what rosbag2 would say of a recording's files."""
-    files, count = sorted(folder.glob('*.mcap'), key=lambda path: int(path.stem[4:])), 0
+    files = sorted(folder.glob('*.mcap'), key=lambda path: int(path.stem[4:]))
+    count = 0
     for path in files:
         with path.open('rb') as stream:
             count += make_reader(stream).get_summary().statistics.message_count
@@ -284,7 +285,8 @@ def rewritten(bag, folder, pack=bytes, parts=1, shuffled=False, writing=None):
         order = np.random.default_rng(0).permutation(order)
     for part, rows in enumerate(np.array_split(order, parts)):
         with (folder / f'bag_{9 + part}.mcap').open('wb') as target:
-            writer, channels = Writer(target, **(writing or {})), {}
+            writer = Writer(target, **(writing or {}))
+            channels = {}
             writer.start()
             for schema, channel, message in (messages[row] for row in rows):
                 if channel.id not in channels:
@@ -320,7 +322,8 @@ def test_recording_split_compressed_shuffled_or_without_an_index_is_read(
     whole = sorted(tmp_path.glob('*.mcap'))[-1]  # rosbag2 compresses messages, or files
     whole.with_suffix('.mcap.zstd').write_bytes(zstandard.compress(whole.read_bytes()))
     whole.unlink()
-    whole, data = load(bag).data, load(tmp_path).data
+    whole = load(bag).data
+    data = load(tmp_path).data
     for field in ('q', 'alpha_meas', 'torque', 'position_des'):
         np.testing.assert_array_equal(getattr(data, field), getattr(whole, field))
 

@@ -41,17 +41,16 @@ class StrangeArm(FakeArm):
             velocity=np.zeros(8),
         )
         position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
-        message.position, message.effort = (
-            list(map(float, position)),
-            list(map(float, effort)),
-        )
+        message.position = list(map(float, position))
+        message.effort = list(map(float, effort))
         self._joints.publish(message)
         self._wrench.publish(wrench_message(stamp + 50_000, self.frame, self.wrench))
 
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
     host.activate(*PATIENT)
-    arm, parts = FakeArm(host), BOTH
+    arm = FakeArm(host)
+    parts = BOTH
 
     def send():
         arm.send_parts(time.monotonic_ns() // PERIOD * PERIOD, parts)
@@ -96,7 +95,8 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host):
 
     for _ in range(3):
         send()
-        before, torque = torque, arm.step()
+        before = torque
+        torque = arm.step()
         np.testing.assert_allclose(
             torque, before, atol=0.2
         )  # the blend at the start goes on
@@ -176,7 +176,8 @@ def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domai
 
 def test_second_publisher_of_the_same_node_is_counted_and_not_named_twice(host):
     host.activate(*PARAMETERS)
-    arm, second = FakeArm(host), FakeArm(host)
+    arm = FakeArm(host)
+    second = FakeArm(host)
     arm.connect()
     text = arm.diagnostics(lambda x: x['publishers'][2]['joint_states'] == '2')[
         'publishers'

@@ -38,7 +38,8 @@ LARGEST_STEP = RATE * 0.002 * (1.0 + 1e-9)
 
 
 def test_controller_goes_through_every_transition_again_and_again(host):
-    controller, arm = host.make(*PARAMETERS), FakeArm(host)
+    controller = host.make(*PARAMETERS)
+    arm = FakeArm(host)
     gravity = arm.state.gravity
     for _ in range(2):
         assert controller.trigger_configure() == SUCCESS

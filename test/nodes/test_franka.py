@@ -44,7 +44,8 @@ ConnectionLost = type('ConnectionLost', (RuntimeError,), {})
     ],
 )
 def test_late_rule_holds_damps_and_ends_within_the_rate_and_counts(age, kind, wanted):
-    rule, before = LateRule(LATE), np.zeros(7)
+    rule = LateRule(LATE)
+    before = np.zeros(7)
     for _ in range(10):
         torque = rule.choose_torque(age, np.full(7, 1.0), np.full(7, 0.2), before)
         assert torque is None or np.abs(torque - before).max() < 1.0
@@ -61,8 +62,13 @@ class Bench:
     """
 
     def __init__(self, middleware):
-        self.cycles, self.time, self.failure, self.mode = SimpleQueue(), 0, None, 'Idle'
-        self.torque, self.sent, self.status = [0.0] * 7, [], {}
+        self.cycles = SimpleQueue()
+        self.time = 0
+        self.failure = None
+        self.mode = 'Idle'
+        self.torque = [0.0] * 7
+        self.sent = []
+        self.status = {}
         self.robot = MagicMock(read_once=self.state)
         self.robot.load_model.return_value.gravity.return_value = GRAVITY
         self.robot.start_torque_control = lambda: SimpleNamespace(
@@ -108,7 +114,9 @@ class Bench:
     def state(self, mode=None):
         with suppress(Empty):
             self.cycles.get(timeout=0.2)  # a robot never stands still
-        self.time, failure, self.failure = self.time + 1, self.failure, None
+        self.time = self.time + 1
+        failure = self.failure
+        self.failure = None
         if failure is not None:
             raise failure
         return SimpleNamespace(
@@ -165,7 +173,8 @@ class Bench:
 
 @pytest.fixture
 def bench(middleware):
-    interval, handle = sys.getswitchinterval(), Bench(middleware)
+    interval = sys.getswitchinterval()
+    handle = Bench(middleware)
     yield handle
     handle.close()
     assert handle.sent[-1].motion_finished

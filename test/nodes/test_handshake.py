@@ -40,7 +40,8 @@ class Relay:
 
     def __init__(self, node, random):
         self._random, self.rough, self.samples = random, False, 0
-        self._newest, self._late = (0, 0), deque()
+        self._newest = (0, 0)
+        self._late = deque()
         for topic, source, sink in (
             *((topic, FAR + topic.name, topic.name) for topic in SAMPLES),
             (
@@ -88,7 +89,8 @@ class Relay:
 @pytest.fixture
 def robot_files(tmp_path):
     """Write what `new-robot` does for the arm of seven joints."""
-    arm, controller = tmp_path / 'my_arm.yaml', tmp_path / 'controller.yaml'
+    arm = tmp_path / 'my_arm.yaml'
+    controller = tmp_path / 'controller.yaml'
     new_robot(seven_joint_urdf(tmp_path), 'wrist', 'wrist', arm, controller)
     return arm, controller
 

@@ -74,7 +74,8 @@ def asker(host, controller):
 @pytest.fixture
 def released(controller):
     """Let every change take as long as a test wants."""
-    released, design = Event(), controller.parameter_set.compute_design
+    released = Event()
+    design = controller.parameter_set.compute_design
 
     def design_late(configurations):
         released.wait()

@@ -155,7 +155,9 @@ def test_load_parameters_refuses_in_one_line(make_node, arguments, match):
 
 
 def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node):
-    node, applied, refused = make_node('size:=1.0'), [], []
+    node = make_node('size:=1.0')
+    applied = []
+    refused = []
     parameters = ParameterSet(node, Whole)
 
     def use(configs):

@@ -118,7 +118,8 @@ def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(
     publishers, record, tmp_path
 ):
-    process, folder = record(), tmp_path / 'bag'
+    process = record()
+    folder = tmp_path / 'bag'
 
     def flushed():
         with contextlib.suppress(

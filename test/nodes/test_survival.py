@@ -75,7 +75,8 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 
     inputs, contacts = 'controller_node: inputs', 'controller_node: contacts'
     start(SIM, 'lockstep:=false', flags=())
-    controller, estimator = start(CONTROLLER), start(ESTIMATOR)
+    controller = start(CONTROLLER)
+    estimator = start(ESTIMATOR)
     # Only what the controller has taken on can be held.
     report(contacts, lambda x: variances(x) not in ([], [0.6, 0.6]))
     estimator.kill()

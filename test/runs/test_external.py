@@ -52,7 +52,8 @@ def test_controller_file_is_all_that_is_needed(file):
 
 
 def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_path):
-    tool, scenario = tmp_path / 'tool.yaml', tmp_path / 'mine.yaml'
+    tool = tmp_path / 'tool.yaml'
+    scenario = tmp_path / 'mine.yaml'
     write_parameters(
         tool,
         {
@@ -113,7 +114,8 @@ def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
 
 
 def test_parameter_file_may_name_nodes_in_a_namespace(file):
-    wanted, content = resolve_external([file]), yaml.safe_load(file.read_text())
+    wanted = resolve_external([file])
+    content = yaml.safe_load(file.read_text())
     file.write_text(yaml.safe_dump({'/left': {'/**': content['controller_node']}}))
     assert resolve_external([file]) == wanted
 

@@ -85,7 +85,8 @@ def test_motion_along_a_normal_is_accepted_once_its_contact_is_let_go():
 
 @pytest.mark.parametrize('name', NAMES)
 def test_preset_says_what_it_sets_and_nothing_else_changes(name):
-    plain, setup = resolve('quick'), resolve('quick', preset=name)
+    plain = resolve('quick')
+    setup = resolve('quick', preset=name)
     given = preset_values(name)
     for part in ('controller', 'noise_estimator'):
         values, before = (getattr(each, part).model_dump() for each in (setup, plain))
@@ -129,7 +130,8 @@ def test_preset_paper_is_as_published():
 
 
 def test_best_is_the_default_and_options_go_before_a_preset():
-    best, plain = resolve('quick', preset='best'), resolve('quick')
+    best = resolve('quick', preset='best')
+    plain = resolve('quick')
     assert (best.controller, best.noise_estimator) == (
         plain.controller,
         plain.noise_estimator,

@@ -25,7 +25,8 @@ class Pressing:
 
     def __init__(self, loop, corrupt=None):
         self.loop, self._corrupt = loop, corrupt
-        self.forces, self.reactions = [], set()
+        self.forces = []
+        self.reactions = set()
         self.advance(20)
         loop.control.set_forces(dict.fromkeys(SURFACES, FORCE))
 
@@ -39,10 +40,8 @@ class Pressing:
 
     def slide(self, speed, ticks):
         """Slide along x with a speed [m/s]; return the true forces."""
-        pose, twist = (
-            self.loop.control.output.pose_des,
-            np.array([speed, 0, 0, 0, 0, 0]),
-        )
+        pose = self.loop.control.output.pose_des
+        twist = np.array([speed, 0, 0, 0, 0, 0])
         forces = []
         for k in range(ticks):
             way = k * self.loop.setup.controller.period * twist[:3]

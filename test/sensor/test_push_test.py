@@ -17,7 +17,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 RATE = 100.0
-STRAIGHT, DEFAULTS = np.eye(3), PushTestConfig()
+STRAIGHT = np.eye(3)
+DEFAULTS = PushTestConfig()
 UNSTEADY = np.random.default_rng(5)
 LEVER = np.array([0.1, -0.16, -0.19])
 TIPS = {'the operational point': LEVER, 'contact table': 0.8 * LEVER}
@@ -37,7 +38,8 @@ def pushes(
     mounting, config, *, sensor=STRAIGHT, rng=None, hand=0.0, noise=0.0, about=0.0
 ):
     """Return readings of a hand off by `hand` rad, and as much of the force and of the point."""
-    rng, rows = rng or np.random.default_rng(0), []
+    rng = rng or np.random.default_rng(0)
+    rows = []
     M = sensor @ mounting @ sensor.T
     for direction in config.directions_world:
         axis = np.cross(direction, rng.standard_normal(3))
@@ -181,7 +183,8 @@ def asked(gate):
 
 def run(gate, hand):
     """Let a hand push as `hand` says for each direction; return the directions asked for."""
-    rng, directions = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    directions = []
     while gate.running:
         if asked(gate) not in ['', *directions[-1:]]:
             directions.append(asked(gate))

@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-GRAVITY, STRAIGHT = np.array([0.0, 0.0, -9.81]), np.eye(3)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+STRAIGHT = np.eye(3)
 BIAS = (1.0, -2.0, 3.0, 0.1, -0.2, 0.05)
 TOOL = ToolConfig(mass=0.5, com_sensor=(0.01, -0.02, 0.08), bias_sensor=BIAS)
 TILTS = Rotation.from_euler(
@@ -29,7 +30,8 @@ POSES = Rotation.random(8, rng=np.random.default_rng(1)).as_matrix()
 
 
 def readings(rotations, tool=TOOL, noise=0.0, mounting=STRAIGHT, seed=0):
-    rng, made = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    made = []
     for rotation in rotations.as_matrix():
         wrench = (
             predict_weight_reading(rotation, tool, GRAVITY).reshape(2, 3) @ mounting.T
@@ -58,7 +60,8 @@ def assert_compensates(tool):
 
 def test_contact_wrench_is_what_was_put_into_the_reading():
     rng = np.random.default_rng(2)
-    pressing, weight = np.array([0.0, 0.0, -12.0]), TOOL.mass * GRAVITY
+    pressing = np.array([0.0, 0.0, -12.0])
+    weight = TOOL.mass * GRAVITY
     for R in POSES:
         sensor, tip, point = (
             Pose(rng.standard_normal(3), R),
@@ -119,7 +122,8 @@ def test_identification_errors_are_those_of_repeated_identifications():
     results = [
         identify_tool(readings(TILTS, noise=0.01, seed=k), GRAVITY) for k in range(200)
     ]
-    mass, com = [x.mass for x in results], np.array([x.com_sensor for x in results])
+    mass = [x.mass for x in results]
+    com = np.array([x.com_sensor for x in results])
     assert np.std(mass) == pytest.approx(
         np.mean([x.mass_std for x in results]), rel=0.15
     )

@@ -25,7 +25,9 @@ class Biased:
         )
         self.bias, self.period = bias, self.loop.setup.controller.period
         self.true, self.measured, self.speed = [], [], []
-        self.states, self.rejected, self.reactions = set(), [], set()
+        self.states = set()
+        self.rejected = []
+        self.reactions = set()
 
     def close(self):
         self.loop.close()

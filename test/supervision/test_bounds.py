@@ -21,7 +21,8 @@ def factors(state):
 
 @pytest.mark.parametrize('index', range(3))
 def test_mobility_gradient_agrees_with_finite_differences(index):
-    rng, h = np.random.default_rng(index), 1e-6
+    rng = np.random.default_rng(index)
+    h = 1e-6
     q = HOME + 0.3 * rng.standard_normal(6)
     state = ROBOT.update(q, np.zeros(6))
 
@@ -46,13 +47,16 @@ def test_mobility_gradient_agrees_with_finite_differences(index):
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 8))
 def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
     """Karush, Kuhn and Tucker: feasible, stationary, multipliers of active bounds alone."""
-    rng, n = np.random.default_rng(seed), 7
+    rng = np.random.default_rng(seed)
+    n = 7
     root = rng.standard_normal((n, n))
     H = root @ root.T + 1e-3 * np.eye(n)
-    R, excess = rng.standard_normal((count, n)), rng.standard_normal(count)
+    R = rng.standard_normal((count, n))
+    excess = rng.standard_normal(count)
     if count > n:
         R, excess = R[:n], excess[:n]
-    space, m = np.zeros(1, dtype=bounds.BOUND_SPACE)[0], len(R)
+    space = np.zeros(1, dtype=bounds.BOUND_SPACE)[0]
+    m = len(R)
     space['cost'][:n, :n], space['rows'][:m, :n], space['excess'][:m] = H, R, excess
     assert bounds.solve_least_change(n, m, space)
     multipliers, change = space['multipliers'][:m], space['change'][:n]
@@ -73,7 +77,9 @@ def test_allowed_speed_stops_a_joint_without_more_than_its_braking(speed):
         for d in np.linspace(0.0, 10.0, 100_001)
         if bounds.allowed_stop_speed(d) >= speed
     )
-    h, fastest_change, before = 1e-4, 0.0, bounds.allowed_stop_speed(distance)
+    h = 1e-4
+    fastest_change = 0.0
+    before = bounds.allowed_stop_speed(distance)
     for _ in range(60_000):
         allowed = bounds.allowed_stop_speed(distance)
         fastest_change = max(fastest_change, abs(allowed - before) / h)

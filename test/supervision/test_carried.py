@@ -87,10 +87,8 @@ def test_law_without_an_answer_leaves_the_arm_where_it_is(plant):
 
 def test_arm_that_starts_outside_its_limits_is_held_until_it_is_moved_inside():
     """The limits would have led it inside at once; joint 3 is moved by hand."""
-    third, limits = (
-        np.eye(6)[2],
-        {'joint_upper': [2.793, 3.927, 2.9, 2.967, 1.745, 4.643]},
-    )
+    third = np.eye(6)[2]
+    limits = {'joint_upper': [2.793, 3.927, 2.9, 2.967, 1.745, 4.643]}
     with closing(
         ClosedLoop(
             resolve(
@@ -112,10 +110,8 @@ def test_arm_that_starts_outside_its_limits_is_held_until_it_is_moved_inside():
         assert loop.control.supervisor.findings[0].startswith('joint3: ')
         assert loop.sample.contact_force.max() == 0.0
         for k in range(400):
-            q, qd = (
-                HOME - 0.05 * min(k / 300, 1.0) * third,
-                -0.05 / 0.6 * (k < 300) * third,
-            )
+            q = HOME - 0.05 * min(k / 300, 1.0) * third
+            qd = -0.05 / 0.6 * (k < 300) * third
             inputs = loop.inputs()
             loop.control.step(
                 inputs._replace(joints=inputs.joints._replace(q=q, qd=qd))
@@ -176,7 +172,8 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(
 
     Before its joints are known the torque is zero, which lets this arm stand.
     """
-    limit, blind = [60.0, 25.0, 40.0, 24.2, 20.1, 21.3], 5 * (with_tool and supervised)
+    limit = [60.0, 25.0, 40.0, 24.2, 20.1, 21.3]
+    blind = 5 * (with_tool and supervised)
     assert (np.abs(gravity_of_the_arm(True)(HOME)) > limit).any()
     with closing(
         SelfCarryingLoop(
@@ -212,7 +209,8 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(
                     )
                 assert loop.status.reaction == reaction
                 carried(loop, 200)
-        start, loop.command = loop.sample.q, loop.control.stop()
+        start = loop.sample.q
+        loop.command = loop.control.stop()
         for _ in range(400):
             loop.act()
             loop.command = loop.control.step(loop.inputs())
@@ -244,7 +242,8 @@ def test_announced_tool_that_is_picked_up_is_borne_without_a_jump(
         carried(loop, 1200, sag=0.1)
         config, tool = setup.controller, loop.plant.description.tool
         for payload in (1.2, 0.0):
-            loop.plant.payload, mass = payload, config.tool.mass + payload
+            loop.plant.payload = payload
+            mass = config.tool.mass + payload
             com = tuple((tool.mass + payload) / mass * np.array(tool.com.position))
             loop.control.reconfigure(
                 config.model_copy(

@@ -129,7 +129,8 @@ def test_transitions_keep_to_the_graph_and_its_times_for_any_history_of_forces(h
             contacts.release_contact(surface.contact, place, speed)
         elif event == 'retry':
             surface.contact['retry_requested'] = True
-        state, ticks = surface.state, 0 if event == 'release' else ticks
+        state = surface.state
+        ticks = 0 if event == 'release' else ticks
         for _ in range(length):
             surface.advance(wanted, alpha, asked, place, speed, escape)
             before, state, contact = state, surface.state, surface.contact
@@ -227,7 +228,8 @@ class Asked:
         self.source = source or CommandedTask(
             config.column_names, config.leading_columns
         )
-        self.controls, self.contacts = np.zeros(1, CONTROL), np.zeros(2, CONTACT)
+        self.controls = np.zeros(1, CONTROL)
+        self.contacts = np.zeros(2, CONTACT)
         configure_contacts(config, self.contacts)
         self.task = ContactTask(config, self.source, self)
         self.stay(POSE)
@@ -317,7 +319,8 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
         names=('table', 'board'),
         leading_columns=(0, 1),
     )
-    asked, here = Asked(motion), Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+    asked = Asked(motion)
+    here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
     for tick in range(501):
         before = asked.ask(H * tick).pose.position_world
     asked.stay(here)
@@ -378,7 +381,8 @@ def limit_again(count, limits, controls, columns, states):
 
 def test_task_is_limited_without_allocating():
     """As much for one tick as for many: what their arguments take."""
-    asked, allocations = Asked(), []
+    asked = Asked()
+    allocations = []
     asked.source.set_forces({'table': 5.0, 'board': 5.0})
     asked.ask(0.0)
     _nrt_python.memsys_enable_stats()

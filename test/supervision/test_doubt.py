@@ -44,7 +44,9 @@ def make_loop(plant, **options):
 
 def advance(loop, seconds, corrupt=None):
     """Advance; return the places of the tool [m], shape (ticks, 3), and the statuses."""
-    robot, places, statuses = place_of(loop), [], []
+    robot = place_of(loop)
+    places = []
+    statuses = []
     for _ in range(round(seconds / H)):
         loop.advance(corrupt)
         places.append(robot(loop.plant.arm.q))

@@ -41,10 +41,8 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     assert arm.take_motion()
     joints = arm.joints['config']
     joints['torque_limit'] = limit
-    joints['lower'], joints['upper'] = (
-        config.limits.joint_lower,
-        config.limits.joint_upper,
-    )
+    joints['lower'] = config.limits.joint_lower
+    joints['upper'] = config.limits.joint_upper
     return TorqueGate(config, arm, guarded=guarded), arm
 
 
@@ -65,7 +63,9 @@ def blending(**transition):
 @pytest.mark.parametrize('joint', range(6))
 def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
     """One joint under large torque, the others held, with the arm's own dynamics (Euler)."""
-    q, v, push = HOME.copy(), np.zeros(6), np.zeros(6)
+    q = HOME.copy()
+    v = np.zeros(6)
+    push = np.zeros(6)
     gate, arm = make()
     lower, upper = (
         np.array(getattr(CONFIG.limits, f'joint_{end}')) for end in ('lower', 'upper')
@@ -94,7 +94,8 @@ def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
 
 def test_joint_that_starts_at_its_stop_stays_there():
     """It is not led away by the margin that others keep."""
-    q, v = HOME.copy(), np.zeros(6)
+    q = HOME.copy()
+    v = np.zeros(6)
     q[4] = start = CONFIG.limits.joint_upper[4] - 0.005
     gate, arm = make(q)
     for _ in range(500):
@@ -152,7 +153,8 @@ SUPERVISOR = Supervisor(
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 1.0, 3.0]))
 def test_speeds_and_plausibility_equal_numpy(seed, scale):
     random = np.random.default_rng(seed)
-    q, v = HOME + random.normal(size=6), scale * random.normal(size=6)
+    q = HOME + random.normal(size=6)
+    v = scale * random.normal(size=6)
     arm, limits = SUPERVISOR.controller.arm, BIASED.limits
     arm.motion[:] = q, v
     assert arm.take_motion()
@@ -166,7 +168,8 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
         too_fast += JOINT_SPEED
     assert arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED) == too_fast
 
-    alpha, wrench = random.normal(size=CONTACTS) * 5.0, random.normal(size=6) * 10.0
+    alpha = random.normal(size=CONTACTS) * 5.0
+    wrench = random.normal(size=6) * 10.0
     contacts, controls = SUPERVISOR.controller.contacts, SUPERVISOR.controller.controls
     contacts['alpha_meas'], controls['wrench'] = alpha, wrench
     contacts['answer']['innovation'] = 0.0

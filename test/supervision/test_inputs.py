@@ -181,7 +181,8 @@ def test_wrench_is_frozen_after_as_many_identical_ones_as_are_configured():
 
 
 def test_angle_that_wraps_goes_on():
-    stage, random = make(turning=True), np.random.default_rng(0)
+    stage = make(turning=True)
+    random = np.random.default_rng(0)
     for k in range(20):
         inputs = good(k, random)
         wrapped = changed(inputs, 'joints', q=inputs.joints.q - 2.0 * np.pi * (k >= 10))
@@ -301,7 +302,8 @@ def test_single_wrench_far_from_the_others_is_left_out_and_two_in_a_row_are_take
 ):
     random = np.random.default_rng(0)
     signal = 0.05 * random.standard_normal((400, 6))
-    struck, changed = signal.copy(), signal.copy()
+    struck = signal.copy()
+    changed = signal.copy()
     struck[200, axis] += size
     changed[200:, axis] += size
     sensor = {'filter_order': order, 'filter_cutoff': 40.0}
@@ -341,7 +343,8 @@ def test_outlier_of_a_wrench_is_not_looked_for_without_guards_and_after_a_gap():
 
 def test_stage_without_guards_hands_over_what_came():
     """Angles that wrap, jumps and saturated wrenches too; R within its bounds."""
-    stage, random = make(turning=True, guarded=False), np.random.default_rng(0)
+    stage = make(turning=True, guarded=False)
+    random = np.random.default_rng(0)
     bounds = CONFIG.noise_variance
     for k in range(40):
         inputs = good(k, random)
@@ -365,7 +368,8 @@ def test_stage_without_guards_hands_over_what_came():
 @pytest.mark.parametrize('numbers', [None, 'text', np.zeros(5), [[0.0] * 6], ['a'] * 6])
 def test_stage_without_guards_hands_over_no_numbers_for_what_has_none(numbers):
     """So the law says that there is no torque for them."""
-    stage, random = make(guarded=False), np.random.default_rng(0)
+    stage = make(guarded=False)
+    random = np.random.default_rng(0)
     stage.validate(good(0, random))
     inputs = changed(good(1, random), 'joints', q=numbers)
     assert stage.validate(changed(inputs, 'variance', variance=numbers)) is ALL_VALID

@@ -72,7 +72,8 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
     cause, soon
 ):
     """From 50 ms up to 2 s; a reaction is a relapse within `soon` after control has resumed."""
-    recovery, tick = RecoveryPolicy(WatchdogConfig().recovery_time, H), 0
+    recovery = RecoveryPolicy(WatchdogConfig().recovery_time, H)
+    tick = 0
 
     def stop(after):
         """Return the wait after some seconds of control [s]; None for ever."""

@@ -28,12 +28,16 @@ def test_arm_goes_where_it_is_told_within_its_limits_and_without_a_hold(
 ):
     """In one message, and in the shortest time that `move` accepts."""
     loop = ClosedLoop(resolve('quick', robot=robot, plant=plant), commanded=True)
-    config, reactions, speeds = loop.setup.controller, set(), []
+    config = loop.setup.controller
+    reactions = set()
+    speeds = []
     for _ in range(100):
         loop.advance()
     start = loop.control.output.pose_des
-    place, turn = start.position_world.copy(), start.quaternion_xyzw.copy()
-    step, zero = np.array(way), np.zeros(3)
+    place = start.position_world.copy()
+    turn = start.quaternion_xyzw.copy()
+    step = np.array(way)
+    zero = np.zeros(3)
     for tick in range(1500):
         s, ds, dds = (
             quintic_blend(tick * config.period, duration)

@@ -185,10 +185,8 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
         tab.get_by_role('button', name=label).press('Enter')
         wait_for(lambda held=held: page.newest.held is held, label)
     tab.get_by_role('tab', name='World').press('Enter')
-    thumb, goal = (
-        tab.locator('.multi-slider-thumb').first,
-        tab.get_by_text('10 000').first,
-    )
+    thumb = tab.locator('.multi-slider-thumb').first
+    goal = tab.get_by_text('10 000').first
 
     def dragged_to_goal():
         thumb.drag_to(goal)

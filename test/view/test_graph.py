@@ -167,10 +167,8 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
 
 def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
     shown.give_command(source.FORCES, table=0.0, board=0.0)
-    events, first = (
-        [],
-        until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom'),
-    )
+    events = []
+    first = until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom')
     until(shown, lambda snapshot: snapshot.time > first.time + 3.0, 'the way back')
     shown.give_command(source.PUSH_TEST)
 

@@ -94,11 +94,14 @@ def test_estimators_scale_what_they_estimate_and_reset_forgets_all_samples(name)
 def test_slew_time_bounds_how_fast_every_estimate_changes(name):
     """By a factor e in 0.03 s, which is 15 samples."""
     estimator, plain = (estimator_of(name, 2, slew_time=time) for time in (0.03, 0.0))
-    random, before, one = np.random.default_rng(0), np.full(2, 0.6), np.ones(2)
+    random = np.random.default_rng(0)
+    before = np.full(2, 0.6)
+    one = np.ones(2)
     for k in range(600):
         alpha = 10.0 * (k > 300) + random.standard_normal(2) * (1.0 if k < 450 else 5.0)
         innovation = Innovation(alpha, one, one)
-        R, free = estimator.update(alpha, innovation), plain.update(alpha, innovation)
+        R = estimator.update(alpha, innovation)
+        free = plain.update(alpha, innovation)
         assert (np.abs(np.log(R / before)) <= 1.0 / 15.0 + 1e-12).all()
         assert ((R >= np.minimum(free, before)) & (R <= np.maximum(free, before))).all()
         before = R
@@ -114,7 +117,8 @@ RATE = 500.0
 def test_lead_filter_has_the_papers_gains(normalisation, at_dc, at_nyquist, factor):
     """Zero and pole at 3 and 60 Hz, and what is left of white noise."""
     f = design_lead_filter(3.0, 60.0, RATE, normalisation)
-    numerator, denominator = [f.gain, -f.gain * f.zero], [1.0, -f.pole]
+    numerator = [f.gain, -f.gain * f.zero]
+    denominator = [1.0, -f.pole]
     np.testing.assert_allclose(
         -np.log([f.zero, f.pole]) * RATE / (2 * np.pi), [3.0, 60.0], rtol=1e-12
     )
@@ -136,7 +140,8 @@ def test_window_is_the_variance_of_what_scipy_filters(name, normalisation):
     filtered = forces
     if normalisation:
         f = design_lead_filter(3.0, 60.0, RATE, normalisation)
-        numerator, denominator = [f.gain, -f.gain * f.zero], [1.0, -f.pole]
+        numerator = [f.gain, -f.gain * f.zero]
+        denominator = [1.0, -f.pole]
         zi = lfilter_zi(numerator, denominator)[:, None] * forces[0]
         filtered, _ = lfilter(numerator, denominator, forces, axis=0, zi=zi)
     values = np.array([estimator.update(force) for force in forces])
@@ -166,9 +171,11 @@ def _innovations(count, rng, contacts=1):
 
 def test_corrected_square_is_that_of_the_observers_residual_and_posterior_variance():
     """Test e = y - C x and C P C^T, from r, C P_1 C^T and R alone; 0 where there is none."""
-    observer, rng = observer_of(), np.random.default_rng(17)
+    observer = observer_of()
+    rng = np.random.default_rng(17)
     for _ in range(20):
-        force, variance = rng.standard_normal(), 10.0 ** rng.uniform(-3, 3)
+        force = rng.standard_normal()
+        variance = 10.0 ** rng.uniform(-3, 3)
         observer.update(force, variance)
         observer.command(1.0)
     innovation = Innovation(
@@ -207,7 +214,8 @@ def test_sage_husa_is_its_recursion():
         (p,) = innovation.prior_variance
         (R_used,) = innovation.variance_used
         left = R_used / (p + R_used)
-        e, CPC = r * left, p * left
+        e = r * left
+        CPC = p * left
         R = (1.0 - d) * R + d * (e * e + CPC)
         assert estimator.update(FORCE, innovation)[0] == pytest.approx(R, rel=1e-12)
 
@@ -218,8 +226,10 @@ def test_variational_bayes_is_its_fixed_point_iteration():
     alpha = 0.5 / 0.05
     beta = alpha * 0.6
     for innovation in _innovations(60, np.random.default_rng(20)):
-        r, p = float(innovation.innovation[0]), float(innovation.prior_variance[0])
-        alpha, beta_prior = 0.95 * alpha + 0.5, 0.95 * beta
+        r = float(innovation.innovation[0])
+        p = float(innovation.prior_variance[0])
+        alpha = 0.95 * alpha + 0.5
+        beta_prior = 0.95 * beta
         for _ in range(3):
             R = beta / alpha
             gain = p / (p + R)
@@ -244,7 +254,8 @@ def test_estimators_find_the_variance_of_white_noise_and_follow_its_rise(name):
 @pytest.mark.parametrize('name', ADAPTIVE)
 def test_estimators_leave_out_an_inactive_contact(name):
     rng = np.random.default_rng(24)
-    both, alone = estimator_of(name, contacts=2), estimator_of(name)
+    both = estimator_of(name, contacts=2)
+    alone = estimator_of(name)
     for innovation in _innovations(200, rng, contacts=2):
         there = rng.random() < 0.5
         values = np.array(astuple(innovation))

@@ -41,15 +41,13 @@ NODE = {
 @pytest.fixture
 def start(tmp_path, domain_id):
     """Return what starts Python in one folder and ROS domain, as in a user's terminals."""
-    running, environment = (
-        [],
-        {
-            **os.environ,
-            'PYTHONPATH': str(ROOT),
-            'ROS_DOMAIN_ID': str(domain_id),
-            'COLUMNS': '200',
-        },
-    )
+    running = []
+    environment = {
+        **os.environ,
+        'PYTHONPATH': str(ROOT),
+        'ROS_DOMAIN_ID': str(domain_id),
+        'COLUMNS': '200',
+    }
 
     def start(*command):
         log = tmp_path / f'{len(running)}.log'
