@@ -17,7 +17,7 @@ import trimesh
 NEUTRAL = [0.72, 0.74, 0.77]
 # m, radius of a link, and of a tool, of which only the ends are known.
 BONE = 0.03
-TOOL = 0.008
+TOOL_RADIUS = 0.008
 SECTIONS = 40  # of what is round
 SMOOTH = np.radians(30.0)  # angle between faces up to which they are one surface
 
