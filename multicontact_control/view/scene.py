@@ -13,7 +13,6 @@ from multicontact_control.view.shapes import (
     make_rod,
     read_shapes,
     TOOL_RADIUS,
-    viser_quaternion,
 )
 from multicontact_control.view.source import DrawnPush, DrawnSurface, Scene, Snapshot
 import numpy as np
@@ -320,7 +319,7 @@ class SceneView:
         poses = self._robot.compute_link_poses(q, list(self._links))
         for link, pose in zip(self._links.values(), poses):
             link.position = pose.position_world
-            link.wxyz = viser_quaternion(Rotation.from_matrix(pose.rotation_world))
+            link.wxyz = _order_scalar_first(Rotation.from_matrix(pose.rotation_world))
 
     def _draw_force_arrows(self, snapshot: Snapshot, points: Matrix) -> None:
         """Draw the forces at the contact points, world axes, shape (nc, 3) [m]."""
@@ -349,7 +348,7 @@ class SceneView:
                 along = rotation.apply(contact.config.direction_operational)
                 x_and_z = np.eye(3)[[0, 2]]
                 turn, _ = Rotation.align_vectors([along, normal], x_and_z)
-                tip.wxyz = viser_quaternion(turn)
+                tip.wxyz = _order_scalar_first(turn)
 
     def _draw_contact_labels(self, snapshot: Snapshot, points: Matrix) -> None:
         for contact, state, point, normal in zip(
@@ -423,6 +422,11 @@ def format_newtons(force: float) -> str:
     if text == '-0.0':
         return '0.0'
     return text
+
+
+def _order_scalar_first(rotation: Rotation) -> Vector:
+    """Return a rotation as viser takes it: a quaternion, scalar first, shape (4,)."""
+    return np.roll(rotation.as_quat(), 1)
 
 
 def _is_level(normal_world: Vector | Vector3) -> bool:
