@@ -128,7 +128,7 @@ class Supervisor:
         self._states_changed = self.task.limits['changed']
         self._has_free_readings = self.task.limits['has_free_readings']
         self._apply_config(config)
-        self._run_stage(0)  # no stage, but compiled: no sample waits for it
+        self._run_stages(0)  # no stage, but compiled: no sample waits for it
         operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
 
@@ -197,7 +197,7 @@ class Supervisor:
             if self.controller.tool is not self.controller.next_tool:
                 self.controller.advance_tool_change()
             if verdict.joints_known:
-                terms = self._robot.compute(self._q, self._velocity)
+                self._robot.compute(self._q, self._velocity)
                 if self._adds_gravity:
                     self._allow_for_gravity()
             if verdict.wrench_is_current != self._wrench_known:
@@ -207,15 +207,7 @@ class Supervisor:
                 return self._step_in_stages(verdict)
             self._part = 'law'
             self.task.update_wanted_task(self._task_ticks * self._period)
-            found = tick(
-                SEE | ACT,
-                *self._records,
-                terms.mass_matrix,
-                terms.bias_torque,
-                terms.jacobian,
-                terms.jacobian_rate,
-                *terms.placements,
-            )
+            found = self._run_stages(SEE | ACT)
             self.controller.arm.flags = found
             if found & ALARMS:
                 return self._choose_answer(verdict, found)
@@ -243,7 +235,7 @@ class Supervisor:
         if self.guarded and self._in_control:
             self._task_ticks += verdict.skipped_samples
         if verdict.joints_known:
-            found = self._run_stage(SEE)
+            found = self._run_stages(SEE)
             self.controller.arm.flags = found
             if not found & MODEL_NOT_FINITE:
                 self._arm = self.controller.arm
@@ -263,11 +255,11 @@ class Supervisor:
             return self._answer_by_law(reaction, causes)
         return self._answer_by_reaction(reaction, causes)
 
-    def _run_stage(self, stage: int) -> int:
-        """Run one stage of the compiled pass; return what was found."""
+    def _run_stages(self, stages: int) -> int:
+        """Run stages of the compiled pass on the terms of the model; return what was found."""
         terms = self._robot.terms
         return tick(
-            stage,
+            stages,
             *self._records,
             terms.mass_matrix,
             terms.bias_torque,
@@ -306,7 +298,7 @@ class Supervisor:
         if arm.flags & (MODEL_NOT_FINITE | FORCES_AMBIGUOUS):
             self.controller.raise_no_answer()
         self._judgement['resumes'] = self._paused
-        return self._finish_law_answer(self._run_stage(ACT), reaction, causes)
+        return self._finish_law_answer(self._run_stages(ACT), reaction, causes)
 
     def _finish_law_answer(
         self, found: int, reaction: str, causes: tuple[str, ...]

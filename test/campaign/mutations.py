@@ -13,6 +13,7 @@ import sys
 import tempfile
 
 HERE = Path(__file__).resolve().parent
+PASSED, FAILED = 0, 1  # exit codes of pytest
 LEFT_OUT = shutil.ignore_patterns('.git', '.venv', 'build', '.*_cache', '__pycache__')
 
 
@@ -37,7 +38,9 @@ def is_caught(folder, file, before, after, test):
         stdout=subprocess.DEVNULL,
     )
     path.write_text(text)
-    return code == 1
+    if code not in (PASSED, FAILED):
+        raise SystemExit(f'{test}: pytest ended with {code}: is its environment right?')
+    return code == FAILED
 
 
 if __name__ == '__main__':
