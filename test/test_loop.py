@@ -18,6 +18,7 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 H, PERIOD = 0.002, 2_000_000
@@ -137,7 +138,7 @@ def test_loop_seeks_holds_and_releases_a_commanded_force_and_forgets_it_at_a_res
     bench.push = np.zeros(6)
     bench.loop.restart()
     bench.timing.restart()
-    np.testing.assert_array_equal(bench.step(effort=-EFFORT), -EFFORT)
+    assert_array_equal(bench.step(effort=-EFFORT), -EFFORT)
     assert bench.states['table'] == 'free'
 
 
@@ -148,7 +149,7 @@ def test_first_command_is_the_measured_effort_or_gravity_compensation(
 ):
     torque = Bench(supervised=supervised).step(effort=effort)
     expected = EFFORT if effort is EFFORT else Bench().state.gravity
-    np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
+    assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
 
 
 def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
@@ -167,9 +168,9 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     )
     assert known['x_est'][0].any() and (slower < faster).all()
     for name in ('x_est', 'P', 'running'):
-        np.testing.assert_array_equal(known[name], new[name])
+        assert_array_equal(known[name], new[name])
     after = [bench.step() for _ in range(200)]
-    np.testing.assert_array_equal(after[0], before)
+    assert_array_equal(after[0], before)
     assert bench.states['table'] == 'holding'
     with pytest.raises(ConfigError, match='^rate: .*cannot change'):
         bench.loop.reconfigure(still_config(rate=400.0))
@@ -232,13 +233,11 @@ def test_stop_leads_from_the_last_command_to_the_declared_behaviour(kind, superv
     )
     last = bench.step(effort=EFFORT)
     torques = [bench.loop.stop(), *(bench.step() for _ in range(400))]
-    np.testing.assert_array_equal(torques[0], last)
+    assert_array_equal(torques[0], last)
     rate = bench.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * H * (1.0 + 1e-9)
     zero = kind == 'zero_torque'
-    np.testing.assert_allclose(
-        torques[-1], 0.0 if zero else bench.state.gravity, atol=1e-9
-    )
+    assert_allclose(torques[-1], 0.0 if zero else bench.state.gravity, atol=1e-9)
     if not supervised:  # which takes no velocity from a change of the position
         sixth = np.eye(6)[5]
         assert (bench.step(q=HOME + 0.05 * sixth)[5] < -0.1) == (
@@ -408,7 +407,7 @@ def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():
         return bench.loop.tare()
 
     bench.step(100)
-    np.testing.assert_allclose(tare(), 0.0, atol=0.02)
+    assert_allclose(tare(), 0.0, atol=0.02)
     speed = -0.03 * np.eye(6)[2]  # what slows the tool down would be taken for bias
     for k in range(100):
         bench.step(q=HOME + H * k * speed, qd=speed)

@@ -36,7 +36,7 @@ from multicontact_control.runs.recording import (
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
-from multicontact_control.view.curves import block_extremes
+from multicontact_control.view.curves import find_block_extremes
 import numpy as np
 
 HISTORY_TIME = 60.0  # s, of curves and events that a jump brings along
@@ -272,7 +272,7 @@ def compute_curve_points(data: RunData, config: ControllerConfig) -> Matrix:
             np.abs(data.torque) / limit,
         ]
     )
-    return block_extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
+    return find_block_extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
 
 
 def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:

@@ -22,6 +22,7 @@ from multicontact_control.nodes import messages, topics
 from multicontact_control.runs.scenario import read_controller_files
 from multicontact_control.sensor.tool import PoseReading, predict_weight_reading
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from ros_graph import write_bag
 from scipy.spatial.transform import Rotation
@@ -145,8 +146,8 @@ def test_tool_is_identified_from_rests_whatever_the_clocks(tmp_path, offset, tou
     result = weigh_recording(tmp_path / 'bag', [file], None, print)
     assert result.poses == 5 - len(touched)
     assert result.mass == pytest.approx(TOOL.mass, abs=0.01)
-    np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
-    np.testing.assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
+    assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
+    assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
     assert (
         controller_config(**read_parameters(write_tool(tmp_path, result))).tool
         == result.tool()

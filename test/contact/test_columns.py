@@ -6,6 +6,7 @@ from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.contact.wrench import CONTACT_SPACE, measure_contacts
 from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -53,10 +54,10 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
     N = normal_space(records, turn)
     along = np.array([0.0, 1.0, 0.0])
     across = np.cross(NORMAL, along)
-    np.testing.assert_allclose(N[:, 0], point_column(POINT), atol=1e-15)
+    assert_allclose(N[:, 0], point_column(POINT), atol=1e-15)
     for column, direction in ((1, along), (2, across)):
         ends = [point_column(POINT + side * HALF * direction) for side in (1.0, -1.0)]
-        np.testing.assert_allclose(N[:, column], 0.5 * (ends[0] - ends[1]), atol=1e-15)
+        assert_allclose(N[:, column], 0.5 * (ends[0] - ends[1]), atol=1e-15)
     # Forces at both ends are read as their sum and their difference.
     records = columns([FORCE, ALONG])
     wrench = sum(
@@ -64,7 +65,7 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
         for side, force in ((-1.0, 4.0), (1.0, 9.0))
     )
     assert measure_contacts(control(wrench), records, SPACE)
-    np.testing.assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
+    assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
 
 
 def test_measured_forces_are_generalised_least_squares():
@@ -90,9 +91,9 @@ def test_measured_forces_are_generalised_least_squares():
     assert measure_contacts(
         control(wrench, separated=True, lever=lever), records, SPACE
     )
-    np.testing.assert_allclose(records['alpha_meas'], expected, rtol=1e-9)
+    assert_allclose(records['alpha_meas'], expected, rtol=1e-9)
     residual = shift @ (wrench - N @ expected)
-    np.testing.assert_allclose(
+    assert_allclose(
         records['friction'][0],
         0.3**2 * (shift @ T).T @ weight @ residual,
         rtol=1e-8,
@@ -104,7 +105,7 @@ def test_force_that_is_untared_is_taken_off():
     records = columns([FORCE, ALONG])
     records['untared'] = 3.0, 0.5
     assert measure_contacts(control(10.0 * point_column(POINT)), records, SPACE)
-    np.testing.assert_allclose(records['alpha_meas'], [7.0, -0.5], atol=1e-12)
+    assert_allclose(records['alpha_meas'], [7.0, -0.5], atol=1e-12)
 
 
 def test_expected_friction_of_a_slide_is_taken_for_no_couple():
@@ -120,8 +121,8 @@ def test_expected_friction_of_a_slide_is_taken_for_no_couple():
     reading = control(wrench, separated=True)
     reading['frame']['twist'] = twist
     assert measure_contacts(reading, records, SPACE)
-    np.testing.assert_allclose(records['alpha_meas'], [10.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(records['friction'][0], friction, atol=1e-9)
+    assert_allclose(records['alpha_meas'], [10.0, 0.0], atol=1e-9)
+    assert_allclose(records['friction'][0], friction, atol=1e-9)
 
 
 def test_contacts_that_cannot_be_told_apart_keep_what_was_measured():
@@ -146,7 +147,7 @@ def test_friction_coupling_is_the_worst_misreading():
         wrench = np.concatenate([friction, np.cross(POINT, friction)])
         assert measure_contacts(control(wrench), read, SPACE)
         worst = np.maximum(worst, np.abs(read['alpha_meas']))
-    np.testing.assert_allclose(coupling[:, 0], worst, rtol=1e-4)
+    assert_allclose(coupling[:, 0], worst, rtol=1e-4)
     assert (coupling[:, 1] == 0.0).all()
     assert coupling[1, 0] > 1.0  # a lever of 0.2 m on an edge of 0.08 m
 
@@ -203,6 +204,4 @@ def follow(velocity, ticks=1):
 )
 def test_normal_follows_the_surface_that_is_slid_along(velocity, slides):
     normal = follow(np.array(velocity), ticks=300 if slides else 1)
-    np.testing.assert_allclose(
-        normal, TRUE_NORMAL if slides else [0.0, 0.0, -1.0], atol=1e-9
-    )
+    assert_allclose(normal, TRUE_NORMAL if slides else [0.0, 0.0, -1.0], atol=1e-9)

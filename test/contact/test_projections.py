@@ -18,6 +18,7 @@ from multicontact_control.control.law import apply_force_law, convert_to_coordin
 from multicontact_control.force.plant import make_delayed_plant, place_poles
 from multicontact_control.records import CONTACT, LAW
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 INPUTS = np.array([0.7, -0.4, 1.1])  # a_i [m/s^2]
@@ -56,7 +57,7 @@ def projections(N, Lambda=None):
                 *factorised(N, Lambda), f_t, f_c, np.empty(N.shape[1]), column
             )
             matrix[:, k] = column
-    np.testing.assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
+    assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
     return Omega_c.T, Omega_m
 
 
@@ -121,7 +122,7 @@ def test_contact_normals_are_those_of_the_equation(seed, count):
     random = np.random.default_rng(seed)
     normals, levers = random.standard_normal((2, count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    np.testing.assert_allclose(
+    assert_allclose(
         contact_normals(normals, levers),
         equations.contact_normals(normals, levers),
         atol=1e-14,
@@ -148,8 +149,8 @@ def test_force_loop_for_k_s_commands_the_share_k_env_over_k_s():
         place_poles(make_delayed_plant(k, 20.0, 0.006, h), h, time_constant=0.02).L
         for k in (6000.0, ratio * 6000.0)
     )
-    np.testing.assert_allclose(k_s[:2], k_env[:2] / ratio, rtol=1e-9)
-    np.testing.assert_allclose(k_s[2:], k_env[2:], rtol=1e-9)
+    assert_allclose(k_s[:2], k_env[:2] / ratio, rtol=1e-9)
+    assert_allclose(k_s[2:], k_env[2:], rtol=1e-9)
 
 
 def test_paper_allocation_of_oblique_contacts_is_that_of_the_equations():
@@ -164,24 +165,20 @@ def test_paper_allocation_of_oblique_contacts_is_that_of_the_equations():
     )
     alpha_star = INPUTS * 6000.0 / k_s
     f_c = allocate_force(N, coordinate_inputs(N, INPUTS), 'paper')
-    np.testing.assert_allclose(
-        f_c, equations.allocate_force(N, alpha_star, 'paper'), rtol=1e-12
-    )
-    np.testing.assert_allclose(
-        6000.0 * N.T @ f_c, 6000.0 * N.T @ N @ alpha_star, rtol=1e-12
-    )
+    assert_allclose(f_c, equations.allocate_force(N, alpha_star, 'paper'), rtol=1e-12)
+    assert_allclose(6000.0 * N.T @ f_c, 6000.0 * N.T @ N @ alpha_star, rtol=1e-12)
 
 
 def test_euclidean_projections_of_the_planar_example():
     """With l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T, Omega_f and Omega_m (P04 eqs 18, 22)."""
     N = contact_normals(np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]))
-    np.testing.assert_allclose(N[[0, 1, 5], 0], [0.0, 1.0, -1.0], atol=1e-15)
+    assert_allclose(N[[0, 1, 5], 0], [0.0, 1.0, -1.0], atol=1e-15)
     Omega_f, Omega_m = projections(N)
     plane = np.ix_([0, 1, 5], [0, 1, 5])  # x, y and the rotation about z
-    np.testing.assert_allclose(
+    assert_allclose(
         Omega_f[plane], [[0, 0, 0], [0, 0.5, -0.5], [0, -0.5, 0.5]], atol=1e-15
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         Omega_m[plane], [[1, 0, 0], [0, 0.5, 0.5], [0, 0.5, 0.5]], atol=1e-15
     )
 
@@ -193,7 +190,7 @@ def test_projections_are_those_of_the_equations_in_full_matrices():
         (projections(N), equations.euclidean_projections(N)),
         (projections(N, Lambda), equations.inertia_projections(N, Lambda)),
     ):
-        np.testing.assert_allclose(result, expected, atol=1e-11)
+        assert_allclose(result, expected, atol=1e-11)
 
 
 def test_contact_coordinates_are_the_forces_for_any_free_part():
@@ -201,9 +198,9 @@ def test_contact_coordinates_are_the_forces_for_any_free_part():
     N = overlapping()
     random = np.random.default_rng(0)
     wrench = N @ INPUTS + free_motions(N) @ random.standard_normal(3)
-    np.testing.assert_allclose(contact_rates(N, wrench, 'paper'), INPUTS, atol=1e-12)
+    assert_allclose(contact_rates(N, wrench, 'paper'), INPUTS, atol=1e-12)
     for allocation in ('paper', 'decoupled'):
-        np.testing.assert_allclose(
+        assert_allclose(
             contact_rates(N, allocate_force(N, INPUTS, allocation), allocation),
             INPUTS,
             atol=1e-12,
@@ -229,10 +226,10 @@ def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit
             accelerations[allocation, scale] = (
                 N.T @ Omega_c @ f_c / scale
             )  # back in m/s^2
-        np.testing.assert_allclose(accelerations['decoupled', scale], INPUTS, rtol=1e-9)
+        assert_allclose(accelerations['decoupled', scale], INPUTS, rtol=1e-9)
     paper = accelerations['paper', 1.0]
     N = overlapping()
-    np.testing.assert_allclose(paper, N.T @ N @ INPUTS, rtol=1e-9)
+    assert_allclose(paper, N.T @ N @ INPUTS, rtol=1e-9)
     assert (np.abs(paper / (np.diag(N.T @ N) * INPUTS) - 1.0) > 0.1).all()
     assert np.abs(accelerations['paper', 1000.0] / paper - 1.0).min() > 1.0
 
@@ -245,7 +242,7 @@ def test_paper_allocation_decouples_orthogonal_contacts():
     k_s = [
         operational_stiffness(6000.0, normal, l) for normal, l in zip(normals, levers)
     ]
-    np.testing.assert_allclose(
+    assert_allclose(
         6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'),
         k_s * INPUTS[:2],
         rtol=1e-12,
@@ -259,14 +256,14 @@ def test_placed_way_is_what_normals_and_axes_of_couples_take_of_a_way():
     force = np.append(down, [0.1, 0.2, 0.0])
     couple = np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
     way = np.array([0.3, 0.0, 0.5, 0.1, 0.2, 0.3])
-    np.testing.assert_allclose(
+    assert_allclose(
         project_on_contacts(way, np.array([force, couple])),
         [0.0, 0.0, 0.5, 0.0, 0.2, 0.0],
         atol=1e-15,
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         project_on_contacts(way, np.append(oblique, np.zeros(3))[None])[:3],
         oblique * (oblique @ way[:3]),
         atol=1e-15,
     )
-    np.testing.assert_array_equal(project_on_contacts(way, np.empty((0, 6))), 0.0)
+    assert_array_equal(project_on_contacts(way, np.empty((0, 6))), 0.0)

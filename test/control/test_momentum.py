@@ -8,6 +8,7 @@ from multicontact_control.flags import RESIDUAL_EXCEEDED
 from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
+from numpy.testing import assert_allclose
 import pinocchio as pin
 from sim_bridge.plant import Plant
 
@@ -111,8 +112,8 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
         plant.close()
     assert np.abs(v).max() > 0.5
     assert np.abs(expected[300:]).max() > 3.0
-    np.testing.assert_allclose(residuals[20:250], expected[20:250], atol=0.2)
-    np.testing.assert_allclose(residuals[290:], expected[290:], atol=0.2)
-    np.testing.assert_allclose(residuals[20:], reference[20:], atol=0.4)
+    assert_allclose(residuals[20:250], expected[20:250], atol=0.2)
+    assert_allclose(residuals[290:], expected[290:], atol=0.2)
+    assert_allclose(residuals[20:], reference[20:], atol=0.4)
     assert not touched[:250].any()
     assert touched[253:].all()

@@ -15,6 +15,7 @@ from multicontact_control.control.tasks import (
 )
 from multicontact_control.dynamics.rotations import Pose
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 RATE = 500.0
@@ -45,8 +46,8 @@ def test_approach_moves_towards_every_untouched_surface():
     source = _scenario(approach=ApproachConfig(start_time=0.0))
     touched = _run(source, 3.0, lambda t: np.array([2.0 if t > 1.0 else 0.0, 0.0]))
     position = np.array([r.pose_des.position_world for r in touched])
-    np.testing.assert_allclose(touched[450].twist_des[:3], [0.0, 0.02, -0.02])
-    np.testing.assert_allclose(touched[-1].twist_des[:3], [0.0, 0.02, 0.0])
+    assert_allclose(touched[450].twist_des[:3], [0.0, 0.02, -0.02])
+    assert_allclose(touched[-1].twist_des[:3], [0.0, 0.02, 0.0])
     assert position[-1, 2] == pytest.approx(position[505, 2])
     assert position[-1, 1] > position[505, 1] + 0.039
     assert [list(r.active) for r in (touched[400], touched[-1])] == [
@@ -66,7 +67,7 @@ def test_force_steps_apply_to_touched_contacts_and_a_force_of_0_wants_none():
         ),
     )
     run = _run(source, 0.6, lambda t: np.array([3.0, 3.0 if t > 0.3 else 0.0]))
-    np.testing.assert_array_equal(
+    assert_array_equal(
         [run[k].alpha_des for k in (50, 100, 160, 200)],
         [[2.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 15.0]],
     )
@@ -85,9 +86,7 @@ def test_sine_motion_derivatives_agree_with_differences():
     values = np.array([evaluate_sine_motion(config, t) for t in times])
     ahead = np.array([evaluate_sine_motion(config, t + h) for t in times])
     behind = np.array([evaluate_sine_motion(config, t - h) for t in times])
-    np.testing.assert_allclose(
-        values[1:, 1:], ((ahead - behind) / (2 * h))[1:, :2], atol=1e-5
-    )
+    assert_allclose(values[1:, 1:], ((ahead - behind) / (2 * h))[1:, :2], atol=1e-5)
     assert evaluate_sine_motion(config, 1.0) == (0.0, 0.0, 0.0)
     assert max(abs(v) for v in evaluate_sine_motion(config, 1.0 + 1e-4)) < 1e-4
 
@@ -104,7 +103,7 @@ def test_twist_of_a_motion_expires_when_none_follows():
             assert source.task_at(time).twist_des.all()
         late = source.task_at(start + 0.21)
         assert not late.twist_des.any() and not late.acceleration_des.any()
-        np.testing.assert_array_equal(late.pose_des.position_world, POSE.position_world)
+        assert_array_equal(late.pose_des.position_world, POSE.position_world)
     source.set_motion(motion, FREE)
     assert source.task_at(2.0).twist_des.all() and source.task_at(1e6).twist_des.all()
 
@@ -164,15 +163,11 @@ def test_commanded_motion_has_no_effect_along_taken_normals():
     )
     source.set_motion(motion, oblique)
     task = source.task_at(0.0)
-    np.testing.assert_allclose(
+    assert_allclose(
         task.pose_des.position_world, POSE.position_world + [0.01, 0.0, 0.0], atol=1e-12
     )
-    np.testing.assert_allclose(
-        task.twist_des, [0.1, 0.0, 0.0, 0.4, 0.5, 0.6], atol=1e-12
-    )
-    np.testing.assert_allclose(
-        task.acceleration_des, [1.0, 0.0, 0.0, 4.0, 5.0, 6.0], atol=1e-12
-    )
+    assert_allclose(task.twist_des, [0.1, 0.0, 0.0, 0.4, 0.5, 0.6], atol=1e-12)
+    assert_allclose(task.acceleration_des, [1.0, 0.0, 0.0, 4.0, 5.0, 6.0], atol=1e-12)
 
 
 def test_new_start_forgets_commands():
@@ -235,7 +230,7 @@ def test_approach_accelerates_as_its_twist_changes():
     twist = np.array([task.twist_des for task in tasks])
     acceleration = np.array([task.acceleration_des for task in tasks])
     ramp = slice(int(0.3 * RATE), int(0.6 * RATE))
-    np.testing.assert_allclose(
+    assert_allclose(
         acceleration[ramp], np.gradient(twist, 1.0 / RATE, axis=0)[ramp], atol=1e-9
     )
     assert acceleration[ramp].any()

@@ -17,6 +17,7 @@ from multicontact_control.force.plant import make_delayed_plant
 from multicontact_control.records import MAX_ORDER
 from numba import njit
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.signal import lsim
 
@@ -41,9 +42,7 @@ def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
     _, expected, _ = lsim(
         system, late[:count], H / fine * np.arange(count), interp=False
     )
-    np.testing.assert_allclose(
-        np.array(states)[:, :2], expected[::fine], rtol=1e-8, atol=1e-9
-    )
+    assert_allclose(np.array(states)[:, :2], expected[::fine], rtol=1e-8, atol=1e-9)
 
 
 def test_delayed_plant_refuses_more_than_ten_periods_of_delay():
@@ -58,7 +57,7 @@ def test_place_poles_places_the_designed_poles(delay):
     n = len(loop.L)
     poles = np.zeros(n)
     poles[:2] = np.exp(-H / 0.02)
-    np.testing.assert_allclose(np.poly(loop.closed_loop), np.poly(poles), atol=1e-9)
+    assert_allclose(np.poly(loop.closed_loop), np.poly(poles), atol=1e-9)
     command = loop.plant.Gamma * loop.L[0] * 10.0
     settled = np.linalg.solve(np.eye(n) - loop.closed_loop, command)
     assert settled[0] == pytest.approx(10.0, rel=1e-9)
@@ -99,11 +98,11 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
         observer.update(force, variance, measured)
         literal.update(force, variance if measured else np.inf)
         for name in ('x_est', 'P'):
-            np.testing.assert_allclose(
+            assert_allclose(
                 getattr(observer, name), getattr(literal, name), rtol=1e-8, atol=1e-10
             )
         if measured:
-            np.testing.assert_allclose(
+            assert_allclose(
                 np.ravel(astuple(observer.innovation)),
                 [literal.innovation, literal.prior_variance, literal.variance_used],
                 rtol=1e-8,
@@ -137,12 +136,12 @@ def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping
         each.update(0.0, 0.6)  # begins
     for variances in np.split(np.where(high, 1e6, 1e-3), 300):
         update_covariance(observer.records, variances, observer.space)
-        np.testing.assert_array_equal(observer.P, observer.P.T)
+        assert_array_equal(observer.P, observer.P.T)
         sizes = np.sqrt(np.diag(observer.P))
         assert np.linalg.eigvalsh(observer.P / np.outer(sizes, sizes))[0] > 1e-9
     for each in (observer, fresh):
         update_covariance(each.records, np.full(20_000, 0.6), each.space)
-    np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
+    assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
 
 
 def test_active_state_compensates_a_constant_disturbance_and_a_ramp(loop):
@@ -168,8 +167,8 @@ def test_continue_from_predicts_with_the_input_that_acts(loop):
     continue_observers_from(new.records, old.records)
     for observer in (new, unchanged):
         observer.update(7.0, 0.6)
-    np.testing.assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(new.P, unchanged.P, rtol=1e-12)
+    assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
+    assert_allclose(new.P, unchanged.P, rtol=1e-12)
 
 
 def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loop):
@@ -180,6 +179,4 @@ def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loo
         observers, np.array([True, False]), np.array([5.0, 6.0])
     )
     assert observers['running'].tolist() == [True, False]
-    np.testing.assert_array_equal(
-        observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7]
-    )
+    assert_array_equal(observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7])

@@ -44,6 +44,7 @@ from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
 from multicontact_control.registry import FORCE_LAWS
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose, assert_equal
 import pytest
 
 H, K, DELAY = 0.002, 6000.0, 0.006
@@ -116,9 +117,7 @@ def test_compiled_law_is_its_matrices(name):
     x = law.start_force * alphas[0]
     for k, y in enumerate(zip(alphas, desired, speeds)):
         x = x + (law.E * extra[k - 1] if k else 0.0)
-        np.testing.assert_allclose(
-            outputs[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12
-        )
+        assert_allclose(outputs[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12)
         x = law.A @ x + law.B @ y
 
 
@@ -132,7 +131,7 @@ def test_pi_is_proportional_and_integral():
     integral = np.concatenate([[0.0], np.cumsum(0.5 * H * (error[1:] + error[:-1]))])
     # At the start only the force counts as known, and the command comes as a step.
     expected = gain * error + 5.0 * gain * (integral + 0.5 * H * desired[0])
-    np.testing.assert_allclose(outputs, expected, rtol=1e-9)
+    assert_allclose(outputs, expected, rtol=1e-9)
 
 
 def test_impedance_is_a_spring_from_the_touch_on():
@@ -143,7 +142,7 @@ def test_impedance_is_a_spring_from_the_touch_on():
         + np.concatenate([[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))])
         + 0.5 * H * speeds[0]
     )
-    np.testing.assert_allclose(outputs, 900.0 * (desired / K - depth), rtol=1e-9)
+    assert_allclose(outputs, 900.0 * (desired / K - depth), rtol=1e-9)
 
 
 def one_contact(desired):
@@ -319,7 +318,7 @@ def test_design_depends_on_the_gains_that_its_law_says_it_reads_and_on_no_others
         direct = find_law(name).design(model, force)
         design = design_law(name, force, model)
         assert (design is before) == (field not in find_law(name).reads), field
-        np.testing.assert_equal(asdict(design), asdict(direct))
+        assert_equal(asdict(design), asdict(direct))
 
 
 def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():

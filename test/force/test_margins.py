@@ -10,6 +10,7 @@ from multicontact_control.force.margins import (
 )
 from multicontact_control.force.observer import solve_steady_gain
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 K = 6000.0
@@ -54,7 +55,7 @@ def test_steady_gain_is_where_the_observer_settles(order, variance):
     for _ in range(4000):  # of 1900, in the slowest case, to 1e-7
         observer.update(0.0, variance)
     settled = observer.P[:, 0] / variance  # K = P C^T / R
-    np.testing.assert_allclose(
+    assert_allclose(
         solve_steady_gain(observer.design, variance), settled, rtol=1e-6, atol=1e-12
     )
 
@@ -121,4 +122,4 @@ def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
     force = k * x[:2] + c * x[2:] + tool * motion(x, acting)[2:]
     predicted = estimates @ aob.design.Phi_c.T
     expected = np.concatenate([x, *line[1:], force, predicted.ravel()])
-    np.testing.assert_allclose(matrix @ state, expected, rtol=1e-6, atol=1e-9)
+    assert_allclose(matrix @ state, expected, rtol=1e-6, atol=1e-9)

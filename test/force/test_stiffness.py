@@ -19,6 +19,7 @@ from multicontact_control.force.stiffness import (
 )
 from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 SPACE = np.zeros(1, dtype=FIT_SPACE)[0]
@@ -67,7 +68,7 @@ def test_feedback_of_another_stiffness_is_that_of_ackermann(delay):
             'design'
         ][0]
         for name in ('Phi_n', 'Gamma', 'feedback'):
-            np.testing.assert_allclose(
+            assert_allclose(
                 observer['design'][name],
                 wanted[name],
                 rtol=1e-6,
@@ -83,9 +84,7 @@ def test_poles_are_limited_by_tool_and_surface():
         design['Gamma'][:5], design['feedback'][:5]
     )
     poles = np.sort(-np.log(np.sort(np.abs(np.linalg.eigvals(loop)))[-2:]) / H)
-    np.testing.assert_allclose(
-        poles, [300.0 / 20.0, np.sqrt(0.8 * 300.0 / 0.5)], rtol=1e-4
-    )
+    assert_allclose(poles, [300.0 / 20.0, np.sqrt(0.8 * 300.0 / 0.5)], rtol=1e-4)
 
 
 def signals(k, c, mu, mass, seed=1, count=150, noise=0.0):
@@ -238,7 +237,7 @@ def test_design_that_takes_over_knows_the_surface():
     take_over_stiffness(new, old)
     assert known['k_est'] > 0.0
     assert new['stiffness'] == known
-    np.testing.assert_allclose(
+    assert_allclose(
         new['observer']['design']['feedback'], old['observer']['design']['feedback']
     )
     assert new['observer']['design']['damping_time'] == pytest.approx(0.002)

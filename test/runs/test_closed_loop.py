@@ -5,6 +5,7 @@ from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.verdict import judge_run
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 
@@ -33,7 +34,7 @@ def test_first_touch_stays_below_three_preloads_and_its_switches_do_not_step_the
     setup = resolve('quick', plant='rigid')
     data = run_of(setup).data.part(0, 700)
     assert data.alpha_true.max() < 3 * 2.0
-    np.testing.assert_allclose(data.alpha_true[-50:].mean(axis=0), 2.0, atol=0.1)
+    assert_allclose(data.alpha_true[-50:].mean(axis=0), 2.0, atol=0.1)
     shares = np.diff(data.torque, axis=0) / setup.controller.torque_limit
     steps = np.abs(shares).max(axis=1)
     switched = np.diff(data.alpha_des > 0.0, axis=0).any(axis=1)
@@ -92,4 +93,4 @@ def test_contact_is_added_without_code():
     result = run_of(setup)
     assert not result.ended_early
     late = result.data.alpha_true[result.data.time > 5.0]
-    np.testing.assert_allclose(late.mean(axis=0), 10.0, atol=0.3)
+    assert_allclose(late.mean(axis=0), 10.0, atol=0.3)

@@ -9,6 +9,7 @@ from multicontact_control.registry import FORCE_LAWS
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import preset_values, resolve
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 FORCE = 10.0  # N
@@ -71,8 +72,8 @@ def test_wrench_at_a_fifth_of_the_rate_presses_and_slides(plant):
     run = pressing(plant, seldom)
     with closing(run.loop):
         run.advance(TOUCHED)
-        np.testing.assert_allclose(run.advance(100), FORCE, atol=0.3)
-        np.testing.assert_allclose(run.slide(0.05, 300), FORCE, atol=3.0)
+        assert_allclose(run.advance(100), FORCE, atol=0.3)
+        assert_allclose(run.slide(0.05, 300), FORCE, atol=3.0)
     assert run.reactions == {'none'} and np.max(run.forces) < 1.3 * FORCE
 
 
@@ -90,8 +91,8 @@ def test_encoders_of_12_bits_beside_measured_speeds_press_and_slide(plant):
     run = pressing(plant, coarse, controller={'watchdog': {'frozen_joint_ticks': 0}})
     with closing(run.loop):
         run.advance(TOUCHED)
-        np.testing.assert_allclose(run.advance(100), FORCE, atol=0.5)
-        np.testing.assert_allclose(run.slide(0.05, 300), FORCE, atol=3.0)
+        assert_allclose(run.advance(100), FORCE, atol=0.5)
+        assert_allclose(run.slide(0.05, 300), FORCE, atol=3.0)
     assert run.reactions == {'none'} and np.max(run.forces) < 1.3 * FORCE
 
 
@@ -101,7 +102,7 @@ def test_slow_slide_with_friction_in_joints_and_on_surfaces_does_not_stick_and_s
         run.advance(TOUCHED + 150)  # friction makes the last newtons slow
         forces = run.slide(0.005, 1500)
     assert run.reactions == {'none'}
-    np.testing.assert_allclose(forces, FORCE, atol=3.0)
+    assert_allclose(forces, FORCE, atol=3.0)
     for error in (forces - FORCE).T:
         steady = np.ones(len(error), dtype=bool)
         assert not find_oscillations(error, np.full(len(error), FORCE), steady, 500.0)

@@ -7,6 +7,7 @@ from multicontact_control.judging.verdict import judge_run, STABLE
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 pytestmark = pytest.mark.slow
@@ -82,7 +83,7 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
     assert rms(errors[1750:2000]) < 0.3
     assert rms(errors[2250:2500]) < 0.3
     # The table's speed is not asked for.
-    np.testing.assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
+    assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
     _, bare = press({}, ticks=2000, each=receding)
     assert rms(bare[1750:]) > 1.0
 
@@ -127,7 +128,7 @@ def test_centres_of_pressure_follow_the_force_and_stay_inside():
     loop.control.set_forces({'edge': 20.0})
     for _ in range(300):
         loop.advance()
-    np.testing.assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
+    assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
     loop.control.set_forces({'edge': 5.0})  # 4 N of its couple would be too much there
     assert loop.control.commanded_forces == pytest.approx(
         {'edge': 5.0, 'edge/along': 1.0}

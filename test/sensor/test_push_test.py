@@ -13,6 +13,7 @@ from multicontact_control.sensor.push_test import (
     SCALE_TOLERANCE,
 )
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -106,7 +107,7 @@ def test_push_test_refuses_every_flip_and_every_large_rotation(
     expected = np.random.default_rng(seed).standard_normal((5, 3))
     fit = fit_sensor_mounting(expected @ (sign * scale * mounting).T, expected)
     assert fit[0] == sign and fit[2] == pytest.approx(scale)
-    np.testing.assert_allclose(fit[1], mounting, atol=1e-8)
+    assert_allclose(fit[1], mounting, atol=1e-8)
 
 
 @given(seeds)

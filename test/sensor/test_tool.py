@@ -16,6 +16,7 @@ from multicontact_control.sensor.tool import (
     predict_weight_reading,
 )
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -49,7 +50,7 @@ def assert_compensates(tool):
     """Check that readings without contact give no wrench in any pose."""
     for rotation in POSES:
         reading = predict_weight_reading(rotation, TOOL, GRAVITY) + BIAS
-        np.testing.assert_allclose(
+        assert_allclose(
             contact_wrench(
                 reading, Pose(np.ones(3), rotation), np.zeros(3), tool, GRAVITY
             ),
@@ -72,10 +73,10 @@ def test_contact_wrench_is_what_was_put_into_the_reading():
         )
         reading = np.concatenate([R.T @ (pressing - weight), R.T @ moment]) + BIAS
         wrench = contact_wrench(reading, sensor, point, TOOL, GRAVITY)
-        np.testing.assert_allclose(
+        assert_allclose(
             wrench, [*pressing, *np.cross(tip - point, pressing)], atol=1e-12
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             wrench,
             equations.contact_wrench(reading, sensor, point, TOOL, GRAVITY),
             atol=1e-12,
@@ -88,7 +89,7 @@ def test_tare_in_any_pose_compensates_in_every_pose(pose):
     noise = np.random.default_rng(0).standard_normal((50, 6)) * 1e-3
     old = TOOL.model_copy(update={'bias_sensor': (9.0,) * 6})  # does not add up
     bias = compute_tare_bias(reading + noise - noise.mean(axis=0), pose, old, GRAVITY)
-    np.testing.assert_allclose(bias, BIAS, atol=1e-12)
+    assert_allclose(bias, BIAS, atol=1e-12)
     assert_compensates(TOOL.model_copy(update={'bias_sensor': tuple(bias)}))
 
 
@@ -111,8 +112,8 @@ def test_tare_refuses_too_few_readings_and_any_unrest(wrenches, message):
 def test_identification_without_noise_is_exact():
     result = identify_tool(readings(TILTS), GRAVITY)
     assert result.mass == pytest.approx(TOOL.mass, abs=1e-12)
-    np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=1e-12)
-    np.testing.assert_allclose(result.bias_sensor, BIAS, atol=1e-12)
+    assert_allclose(result.com_sensor, TOOL.com_sensor, atol=1e-12)
+    assert_allclose(result.bias_sensor, BIAS, atol=1e-12)
     assert max(result.force_residual, result.torque_residual) < 1e-12
     assert result.condition < 10.0
     assert_compensates(result.tool())
@@ -127,7 +128,7 @@ def test_identification_errors_are_those_of_repeated_identifications():
     assert np.std(mass) == pytest.approx(
         np.mean([x.mass_std for x in results]), rel=0.15
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         com.std(axis=0), np.mean([x.com_std for x in results], axis=0), rtol=0.15
     )
     assert np.mean([x.force_residual for x in results]) == pytest.approx(0.01, rel=0.2)
@@ -138,8 +139,8 @@ def test_identification_of_an_empty_flange_is_a_mass_of_zero_with_the_bias():
         readings(TILTS, ToolConfig(bias_sensor=BIAS), noise=1e-3), GRAVITY
     )
     assert abs(result.mass) <= 3.0 * result.mass_std
-    np.testing.assert_array_equal(result.com_sensor, np.zeros(3))
-    np.testing.assert_allclose(result.bias_sensor, BIAS, atol=0.01)
+    assert_array_equal(result.com_sensor, np.zeros(3))
+    assert_allclose(result.bias_sensor, BIAS, atol=0.01)
 
 
 SIMILAR = '^poses: .*tilt the tool differently'
@@ -192,7 +193,7 @@ def test_tool_on_the_way_to_another_is_read_as_a_share_of_both(mass):
         return weight + tool.bias_sensor
 
     for share in (0.0, 0.25, 0.75, 1.0):
-        np.testing.assert_allclose(
+        assert_allclose(
             reading(interpolate_tool(before, TOOL, share)),
             (1.0 - share) * reading(before) + share * reading(TOOL),
             atol=1e-12,

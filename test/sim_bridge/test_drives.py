@@ -1,4 +1,5 @@
 import numpy as np
+from numpy.testing import assert_allclose
 import pinocchio as pin
 import pytest
 from sim_bridge.drives import (
@@ -67,7 +68,7 @@ def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(
         speed = qd + STEP * pin.aba(bare, bare_data, q, qd, applied + load)
         net_torque = torque + load - friction_torques(speed, table)
         expected = qd + STEP * pin.aba(model, data, q, qd, net_torque)
-        np.testing.assert_allclose(speed, expected, atol=1e-9)
+        assert_allclose(speed, expected, atol=1e-9)
 
 
 def test_implicit_speeds_of_all_joints_solve_their_equation(puma, model, rng):
@@ -81,7 +82,7 @@ def test_implicit_speeds_of_all_joints_solve_their_equation(puma, model, rng):
         speed = np.zeros(6)
         solve_joint_speeds(free, STEP, M, table, speed)
         residual = M @ (speed - free) + STEP * friction_torques(speed, table)
-        np.testing.assert_allclose(residual, 0.0, atol=1e-10)
+        assert_allclose(residual, 0.0, atol=1e-10)
 
 
 def test_implicit_speed_of_one_joint_solves_its_equation_between_rest_and_free(rng):

@@ -2,6 +2,7 @@
 
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import (
@@ -39,9 +40,9 @@ def test_contact_force_is_that_of_spring_and_damper():
     surfaces = surface()
     depths = np.linspace(1e-4, 5e-3, 20)
     forces = [touch(surfaces, depth)[0] for depth in depths]
-    np.testing.assert_allclose(np.polyfit(depths, forces, 1), [6000.0, 0.0], atol=1e-9)
+    assert_allclose(np.polyfit(depths, forces, 1), [6000.0, 0.0], atol=1e-9)
     _, force = touch(surfaces, 1e-3)
-    np.testing.assert_allclose(force, 6.0 * NORMAL, atol=1e-12)
+    assert_allclose(force, 6.0 * NORMAL, atol=1e-12)
 
 
 def test_damper_feels_the_speed_between_the_tip_and_a_surface_that_goes_away():
@@ -67,7 +68,7 @@ def test_friction_stays_in_its_cone_and_along_the_sliding(rng):
         sliding = velocity - NORMAL * (NORMAL @ velocity)
         friction = force - alpha * NORMAL
         assert np.linalg.norm(friction) <= 0.3 * alpha
-        np.testing.assert_allclose(np.cross(friction, sliding), 0.0, atol=1e-12)
+        assert_allclose(np.cross(friction, sliding), 0.0, atol=1e-12)
         assert friction @ sliding >= 0.0
     # Coulomb's value when it slides.
     alpha, force = touch(surfaces, 1e-3, (0.5, 0.0, 0.0))
@@ -123,7 +124,7 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
         depth = radius - np.sign(radius) * distance
         normal = np.sign(radius) * inwards / distance
         expected = 6000.0 * max(0.0, depth) * normal
-        np.testing.assert_allclose(record['force'], expected, atol=1e-9)
+        assert_allclose(record['force'], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from multicontact_control.force.noise.innovation import corrected_square
 from multicontact_control.force.noise.window import design_lead_filter
 from multicontact_control.registry import NOISE_ESTIMATORS
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.signal import dimpulse, freqz, lfilter, lfilter_zi
 
@@ -38,13 +39,13 @@ def test_estimators_drop_and_count_samples_that_are_not_finite(name, place):
     for k in range(200):
         alpha, innovation = _sample(rng)
         R = estimator.update(alpha, innovation)
-        np.testing.assert_array_equal(R, untouched.update(alpha, innovation))
+        assert_array_equal(R, untouched.update(alpha, innovation))
         if k % 10 == 3:
             values = alpha
             if place != 'alpha':
                 values = getattr(innovation, place)
             values[k % 2] = (np.nan, np.inf, -np.inf, 1e200)[k // 10 % 4]
-            np.testing.assert_array_equal(estimator.update(alpha, innovation), R)
+            assert_array_equal(estimator.update(alpha, innovation), R)
     assert estimator.dropped == 20
     assert untouched.dropped == 0
 
@@ -66,7 +67,7 @@ def test_estimators_keep_within_floor_and_ceiling(name, sizes, seed):
             assert (R >= 0.1).all() and (R <= 1000.0).all()
     assert estimator.dropped == 0
     if name != 'fixed':
-        np.testing.assert_array_equal(R, 0.1)
+        assert_array_equal(R, 0.1)
         assert estimator.bounded.min() > 0
 
 
@@ -83,11 +84,11 @@ def test_estimators_scale_what_they_estimate_and_reset_forgets_all_samples(name)
     rng = np.random.default_rng(25)
     samples = [_sample(rng, contacts=1) for _ in range(1500)]
     values = estimate_variances(plain, samples)
-    np.testing.assert_allclose(
+    assert_allclose(
         estimate_variances(scaled, samples)[-1], expected * values[-1], rtol=1e-4
     )
     plain.reset()
-    np.testing.assert_array_equal(estimate_variances(plain, samples), values)
+    assert_array_equal(estimate_variances(plain, samples), values)
 
 
 @pytest.mark.parametrize('name', NAMES)
@@ -119,11 +120,11 @@ def test_lead_filter_has_the_papers_gains(normalisation, at_dc, at_nyquist, fact
     f = design_lead_filter(3.0, 60.0, RATE, normalisation)
     numerator = [f.gain, -f.gain * f.zero]
     denominator = [1.0, -f.pole]
-    np.testing.assert_allclose(
+    assert_allclose(
         -np.log([f.zero, f.pole]) * RATE / (2 * np.pi), [3.0, 60.0], rtol=1e-12
     )
     _, response = freqz(numerator, denominator, worN=[0.0, np.pi])
-    np.testing.assert_allclose(np.abs(response), [at_dc, at_nyquist], rtol=0.01)
+    assert_allclose(np.abs(response), [at_dc, at_nyquist], rtol=0.01)
     _, (impulse,) = dimpulse((numerator, denominator, 1.0), n=400)
     assert float((impulse**2).sum()) == pytest.approx(factor, rel=0.01)
 
@@ -146,7 +147,7 @@ def test_window_is_the_variance_of_what_scipy_filters(name, normalisation):
         filtered, _ = lfilter(numerator, denominator, forces, axis=0, zi=zi)
     values = np.array([estimator.update(force) for force in forces])
     assert (values[:49] == 0.6).all()
-    np.testing.assert_allclose(
+    assert_allclose(
         values[49:],
         [filtered[k - 49 : k + 1].var(axis=0) for k in range(49, 120)],
         rtol=1e-9,
@@ -181,8 +182,8 @@ def test_corrected_square_is_that_of_the_observers_residual_and_posterior_varian
     innovation = Innovation(
         *(np.append(each, 0.0) for each in astuple(observer.innovation))
     )
-    np.testing.assert_array_equal(innovation.valid, [True, False])
-    np.testing.assert_allclose(
+    assert_array_equal(innovation.valid, [True, False])
+    assert_allclose(
         corrected_square(innovation, innovation.variance_used),
         [(force - observer.x_est[0]) ** 2 + observer.P[0, 0], 0.0],
         rtol=1e-9,
@@ -197,7 +198,7 @@ def test_innovation_is_the_mean_over_the_window_within_its_floor():
     assert values[:49] == [0.6] * 49
     series = np.array([(i.innovation**2 - i.prior_variance)[0] for i in innovations])
     expected = [max(series[k - 49 : k + 1].mean(), 0.1) for k in range(49, 80)]
-    np.testing.assert_allclose(values[49:], expected, rtol=1e-10)
+    assert_allclose(values[49:], expected, rtol=1e-10)
     small = Innovation(np.array([0.1]), np.array([6.4]), np.array([0.6]))
     assert [estimator.update(FORCE, small)[0] for _ in range(50)][-1] == 0.1
 

@@ -26,6 +26,7 @@ from multicontact_control.runs.graph.run import run_graph
 from multicontact_control.runs.graph.spec import GraphSpec
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_array_equal
 import pytest
 from ros_graph import end_of, node_processes, PATIENCE, recorded, start_command
 from rosbags.rosbag2 import Reader
@@ -149,7 +150,7 @@ def test_free_run_records_every_sample_at_its_rate(tmp_path):
     assert result.timing[SIM]['ticks'] == 3 * TICKS
     stamps = [message.header.stamp for message in recorded(result.bag, TOPICS[0].name)]
     steps = np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps])
-    np.testing.assert_array_equal(steps[steps > 0], 2_000_000)
+    assert_array_equal(steps[steps > 0], 2_000_000)
     efforts = {tuple(x.data) for x in recorded(result.bag, 'bare/efforts')}
     commands = recorded(result.bag, topics.EFFORT_COMMAND.name)
     assert efforts
