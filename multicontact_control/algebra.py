@@ -188,17 +188,20 @@ def rotate_pair(A: Matrix, vectors: Matrix, i: int, j: int) -> None:
         tangent = -tangent
     cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
     sine = tangent * cosine
-    for k in range(A.shape[0]):
-        first, second = A[k, i], A[k, j]
-        A[k, i] = cosine * first - sine * second
-        A[k, j] = sine * first + cosine * second
-        first, second = vectors[k, i], vectors[k, j]
-        vectors[k, i] = cosine * first - sine * second
-        vectors[k, j] = sine * first + cosine * second
-    for k in range(A.shape[0]):
-        first, second = A[i, k], A[j, k]
-        A[i, k] = cosine * first - sine * second
-        A[j, k] = sine * first + cosine * second
+    n = A.shape[0]
+    turn_vectors(A[:, i], A[:, j], cosine, sine)
+    turn_vectors(vectors[:n, i], vectors[:n, j], cosine, sine)
+    turn_vectors(A[i], A[j], cosine, sine)
+
+
+@compiled
+def turn_vectors(x: Vector, y: Vector, cosine: float, sine: float) -> None:
+    """Replace x and y, shape (n,), by c x - s y and s x + c y, which turns their plane."""
+    for k in range(x.shape[0]):
+        first = x[k]
+        second = y[k]
+        x[k] = cosine * first - sine * second
+        y[k] = sine * first + cosine * second
 
 
 @compiled
@@ -265,15 +268,14 @@ def turn_rotation_by_vector(vector: Vector, rotation: Matrix) -> None:
     if angle < 1e-12:
         return
     axis = divide_vector(vector, angle)
+    sine = np.sin(angle)
+    versine = 1.0 - np.cos(angle)
     for j in range(3):
         once = cross(axis, rotation[:, j])
         twice = cross(axis, once)
         for i in range(3):
-            rotation[i, j] = (
-                rotation[i, j]
-                + (np.sin(angle) * once[i])
-                + (1.0 - np.cos(angle)) * twice[i]
-            )
+            rotation[i, j] += sine * once[i]
+            rotation[i, j] += versine * twice[i]
 
 
 @compiled
@@ -286,8 +288,8 @@ def quintic_blend(elapsed: float, duration: float) -> Triple:
     if elapsed >= duration:
         return 1.0, 0.0, 0.0
     x = max(0.0, elapsed / duration)
-    return (
-        x**3.0 * (10.0 + x * (-15.0 + 6.0 * x)),
-        30.0 * x**2.0 * (1.0 - x) ** 2.0 / duration,
-        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2.0,
-    )
+    rest = 1.0 - x
+    blend = x**3.0 * (10.0 + x * (-15.0 + 6.0 * x))
+    rate = 30.0 * x**2.0 * rest**2.0 / duration
+    acceleration = 60.0 * x * rest * (1.0 - 2.0 * x) / duration**2.0
+    return blend, rate, acceleration

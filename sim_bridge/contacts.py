@@ -189,64 +189,44 @@ def write_push(
     push[6] = body
 
 
+class Surroundings(NamedTuple):
+    """What acts on the arm besides its drives, and where its forces are listed."""
+
+    surfaces: Records[Surface]  # shape (no,)
+    profiles: Matrix  # of the roughness of each surface, see `build_surfaces`
+    hands: Records[Hand]  # the one at the wrist, then the one at the tool
+    pushes: Matrix  # forces as `EngineArm.apply_pushes` takes them, shape (no + 2, 7)
+
+
 @compiled
-def act_on_arm(
-    motion: Matrix,
-    torques: Matrix,
-    limit: Vector,
+def touch_arm(
+    surroundings: Surroundings,
     links: Records[Link],
-    drives: Records[Drive],
-    surfaces: Records[Surface],
-    profiles: Matrix,
-    hands: Records[Hand],
-    pushes: Matrix,
+    qd: Vector,
     step: float,
+    load: Vector,
 ) -> int:
     """
-    Work out all forces and torques on the arm in one integration step, before the engine's.
-
-    Places the links, lets surfaces and hands act, and advances the rotors of the drives.
+    Let surfaces and hands act on the arm; return how many forces there are.
 
     Parameters
     ----------
-    motion
-        Joint angles and speeds, link side, at the start of the step, shape (2, n) [rad, rad/s].
-    torques
-        Of the joints, shape (4, n) [N m]: of the motors, clipped here to the limit; filled in are
-        what surfaces and hands do, the sum of both, and what the drives do to the links.
-    limit
-        Of the motors, shape (n,) [N m].
-    links, drives, surfaces
-        Records of `LINK`, `DRIVE` (none for motors that act on the links as they are) and
-        `SURFACE`.
-    profiles
-        Of the roughness of each surface.
-    hands
-        Records of `HAND`, shape (2,): first the one at the wrist, then the one at the tool.
-    pushes
-        Filled with the forces on the arm, as `EngineArm.apply_pushes` takes them, shape (m, 7).
+    surroundings
+        Surfaces, which move by one step, and hands; the first of the pushes are filled in.
+    links
+        Records of `LINK` that `forward_kinematics` has placed, shape (n,).
+    qd
+        Joint speeds, shape (n,) [rad/s].
     step
         Of the integration [s].
-
-    Returns
-    -------
-    int
-        How many forces there are, or -1 for motor torques that are not finite.
+    load
+        What the forces do to the joints is added to it, shape (n,) [N m].
 
     """
-    q = motion[0]
-    qd = motion[1]
-    motor = torques[0]
-    load = torques[1]
-    both = torques[2]
-    link_side = torques[3]
-    last = q.shape[0] - 1
-    for joint in range(last + 1):
-        if not np.isfinite(motor[joint]):
-            return -1
-        motor[joint] = min(max(motor[joint], -limit[joint]), limit[joint])
-        load[joint] = 0.0
-    forward_kinematics(q, links)
+    hands = surroundings.hands
+    surfaces = surroundings.surfaces
+    pushes = surroundings.pushes
+    last = qd.shape[0] - 1
     velocity = np.empty(3)
     count = 0
     for i in range(hands.shape[0]):
@@ -262,7 +242,7 @@ def act_on_arm(
             move_surface(surface, step)
         locate_point(surface.tip, links[surface.joint], surface.point)
         point_velocity(surface.point, qd, links, surface.joint, velocity)
-        press_surface(surface, velocity, profiles[i])
+        press_surface(surface, velocity, surroundings.profiles[i])
         if surface.alpha > 0.0:
             add_joint_torque(
                 surface.point, surface.force, -1.0, links, surface.joint, load
@@ -270,7 +250,60 @@ def act_on_arm(
             write_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
             count += 1
     add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
-    for joint in range(last + 1):
+    return count
+
+
+@compiled
+def act_on_arm(
+    motion: Matrix,
+    torques: Matrix,
+    links: Records[Link],
+    drives: Records[Drive],
+    surroundings: Surroundings,
+    step: float,
+) -> int:
+    """
+    Work out all forces and torques on the arm in one integration step, before the engine's.
+
+    Places the links, lets surfaces and hands act, and advances the rotors of the drives.
+
+    Parameters
+    ----------
+    motion
+        Joint angles and speeds, link side, at the start of the step, shape (2, n) [rad, rad/s].
+    torques
+        Of the joints, shape (5, n) [N m]: the largest of the motors, and theirs, clipped here to
+        these; filled in are what surfaces and hands do, the sum of both, and what the drives do
+        to the links.
+    links, drives
+        Records of `LINK`, and of `DRIVE` (none for motors that act on the links as they are).
+    surroundings
+        Surfaces and hands.
+    step
+        Of the integration [s].
+
+    Returns
+    -------
+    int
+        How many forces there are, or -1 for motor torques that are not finite.
+
+    """
+    q = motion[0]
+    qd = motion[1]
+    limit = torques[0]
+    motor = torques[1]
+    load = torques[2]
+    both = torques[3]
+    link_side = torques[4]
+    n = q.shape[0]
+    for joint in range(n):
+        if not np.isfinite(motor[joint]):
+            return -1
+        motor[joint] = min(max(motor[joint], -limit[joint]), limit[joint])
+        load[joint] = 0.0
+    forward_kinematics(q, links)
+    count = touch_arm(surroundings, links, qd, step, load)
+    for joint in range(n):
         both[joint] = motor[joint] + load[joint]
         link_side[joint] = motor[joint]
     advance_drives(motor, q, qd, drives, step, link_side)

@@ -19,6 +19,7 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.records import (
     Joint,
     Law,
@@ -48,6 +49,16 @@ class InertiaSpace(Record, Protocol):
 
 
 INERTIA_SPACE = record_dtype(InertiaSpace)
+
+
+class NullspaceSpace(Record, Protocol):
+    """What `add_nullspace_torque` works in; the first n numbers are used. One."""
+
+    pull: Annotated[Vector, MAX_JOINTS]  # k_q (q_0 - q) + s [rad/s^2]
+    free: Annotated[Vector, MAX_JOINTS]  # torque before it is projected [N m]
+
+    # Of the operational point under that torque [m/s^2, rad/s^2].
+    acceleration: Annotated[Vector, 6]
 
 
 @compiled
@@ -161,13 +172,10 @@ def mobility_gradient(
 @compiled
 def add_nullspace_torque(
     joints: Records[Joint],
-    mass_matrix: Matrix,
-    jacobian: Matrix,
+    terms: ModelTerms,
     inertia: InertiaSpace,
     law: Law,
-    free: Vector,
-    pull: Vector,
-    acceleration: Vector,
+    space: NullspaceSpace,
 ) -> None:
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.
@@ -176,11 +184,15 @@ def add_nullspace_torque(
     from a stop at a distance x below the margin m. J M^-1 of what is added is 0, gravity and
     Coriolis' part aside.
 
-    The torque of `joints`, records of `JOINT`, shape (n,), is added to; d, k_q and k_s are in
-    `law`, a record of `LAW`, `inertia` is one of `INERTIA_SPACE`. `free`, `pull`, shape (n,), and
-    `acceleration`, shape (6,), are overwritten.
+    The torque of `joints`, records of `JOINT`, shape (n,), is added to; M and J are in `terms`,
+    d, k_q and k_s in `law`, a record of `LAW`; `inertia` is a record of `INERTIA_SPACE` that
+    `mobility_and_inertia` has filled in there.
     """
     n = joints.shape[0]
+    mass_matrix = terms.mass_matrix
+    pull = space.pull
+    free = space.free[:n]
+    acceleration = space.acceleration
     for j in range(n):
         joint = joints[j]
         below = max(STOP_MARGIN - (joint.q - joint.config.lower), 0.0)
@@ -202,6 +214,6 @@ def add_nullspace_torque(
     multiply_vector(inertia.Y[:n].T, free, acceleration)
     for j in range(n):
         for i in range(6):
-            joints[j].answer.torque -= jacobian[i, j] * dot(
+            joints[j].answer.torque -= terms.jacobian[i, j] * dot(
                 inertia.Lambda[i], acceleration
             )

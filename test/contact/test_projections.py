@@ -12,6 +12,7 @@ from multicontact_control.algebra import multiply_vector, solve_cholesky
 from multicontact_control.contact.geometry import normal_space, project_on_contacts
 from multicontact_control.contact.projections import (
     compose_acceleration,
+    CONTACT_PROJECTION,
     factorise_contacts,
 )
 from multicontact_control.control.law import apply_force_law, convert_to_coordinates
@@ -43,6 +44,18 @@ def factorised(N, Lambda=None):
     return rows, weighted, factor
 
 
+def factorised_record(N, Lambda=None):
+    """Return a record of `CONTACT_PROJECTION`, whose factor of N^T N is that of N^T D, too."""
+    count = N.shape[1]
+    projection = np.zeros(1, dtype=CONTACT_PROJECTION)[0]
+    rows, weighted, factor = factorised(N, Lambda)
+    projection['rows'][:count] = rows
+    projection['weighted_rows'][:count] = weighted
+    for name in ('factor', 'weighted_factor'):
+        projection[name][:count, :count] = factor
+    return projection
+
+
 def projections(N, Lambda=None):
     """Return Omega_f, as the dual of Omega_c, and Omega_m."""
     Omega_m = np.empty((6, 6))
@@ -54,7 +67,7 @@ def projections(N, Lambda=None):
             (Omega_c, np.zeros(6), unit),
         ):
             compose_acceleration(
-                *factorised(N, Lambda), f_t, f_c, np.empty(N.shape[1]), column
+                factorised_record(N, Lambda), N.shape[1], f_t, f_c, column
             )
             matrix[:, k] = column
     assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
@@ -62,19 +75,16 @@ def projections(N, Lambda=None):
 
 
 def allocate_force(N, alpha_star, allocation):
-    rows, _, factor = factorised(N)
     law = np.zeros(1, dtype=LAW)
     f_c = np.empty(6)
     law['decoupled'] = allocation == 'decoupled'
-    contacts = np.zeros(len(rows), dtype=CONTACT)
+    contacts = np.zeros(N.shape[1], dtype=CONTACT)
     apply_force_law(
         law[0],
-        rows,
-        factor,
         np.zeros(6),
         contacts,
+        factorised_record(N),
         np.array(alpha_star),
-        np.empty(len(rows)),
         f_c,
     )
     return f_c
