@@ -195,7 +195,10 @@ class ContactMetrics:
         """Return from when on an error [N] stays within a band for 0.1 s [s], None if never."""
         rate = self.run.data.rate
         held = find_long_stretches(np.abs(error) <= band, round(BAND_HELD * rate))
-        return held[0][0] / rate if held else None
+        if not held:
+            return None
+        first, _ = held[0]
+        return first / rate
 
     def rise_over_design(self, step: StepResponse | None) -> float | None:
         """
@@ -309,17 +312,19 @@ class ContactMetrics:
     def summarise(self) -> dict[str, Any]:
         """Return the contact's part of ``summary.json``; its step is the largest one up."""
         largest = self.largest_step
-        losses = None if self.is_couple else len(self.losses)
         summary: dict[str, Any] = {
             'step_rise_63_s': None,
             'step_rise_over_design': self.rise_over_design(largest),
             'step_overshoot_percent': None,
             'step_settling_s': None,
             'step_steady_error_n': None,
-            'true_losses': losses if self.has_truth else None,
-            'measured_losses': None if self.has_truth else losses,
+            'true_losses': None,
+            'measured_losses': None,
             'steps': [response._asdict() for response in self.step_responses],
         }
+        if not self.is_couple:
+            key = 'true_losses' if self.has_truth else 'measured_losses'
+            summary[key] = len(self.losses)
         for name, window in self.asked_windows.items():
             summary[name] = self._summarise_window(window)
         if largest is not None:
@@ -366,10 +371,12 @@ class ContactMetrics:
             not, or the run was unstable by then.
 
         """
-        answers = (
-            self._measure_recovery(push, unstable_at) for push in self.run.pushes
-        )
-        return [answer for answer in answers if answer is not None]
+        answers = []
+        for push in self.run.pushes:
+            answer = self._measure_recovery(push, unstable_at)
+            if answer is not None:
+                answers.append(answer)
+        return answers
 
     def _measure_recovery(
         self, push: Push, unstable_at: float | None
@@ -392,10 +399,9 @@ class ContactMetrics:
         # The end of a run that ended before its time takes no recovery back.
         recovery = None
         if unstable_at is None or unstable_at >= min(until, last):
-            band = max(
-                BAND_OF_COMMAND * float(self.command[judged][0]),
-                BAND_OF_NOISE * float(np.std(self.error[before])),
-            )
+            band_of_command = BAND_OF_COMMAND * float(self.command[judged][0])
+            band_of_noise = BAND_OF_NOISE * float(np.std(self.error[before]))
+            band = max(band_of_command, band_of_noise)
             recovery = self._find_time_within(self.error[judged], band)
         answer = self.error[run.between(push.start, until)]
         return {

@@ -111,7 +111,9 @@ def show_progress(
         real-time factor if that is known.
 
     """
-    end = '' if duration is None else f' / {duration:.1f}'
+    end = ''
+    if duration is not None:
+        end = f' / {duration:.1f}'
     with make_progress_bar(
         '{task.description}',
         progress.BarColumn(),
@@ -189,10 +191,13 @@ def list_summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     """
     rows = []
     for number in NUMBERS:
-        label = f'{number.window}: {number.label}' if number.window else number.label
+        label = number.label
+        if number.window:
+            label = f'{number.window}: {label}'
         texts = []
-        for contact in summary['contacts'].values():
-            numbers = contact[number.window] if number.window else contact
+        for numbers in summary['contacts'].values():
+            if number.window:
+                numbers = numbers[number.window]
             texts.append(_describe_number(numbers.get(number.key), number.digits))
         if set(texts) != {'-'}:
             rows.append([label, *texts])
