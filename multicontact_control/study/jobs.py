@@ -126,20 +126,17 @@ def outcome_key(kind: str, setup: Setup, **content: Any) -> str:
         What else decides the outcome, as JSON values.
 
     """
-    configurations = {
-        name: getattr(setup, name).model_dump(mode='json')
-        for name in ('scenario', 'controller', 'noise_estimator', 'plant')
-    }
     urdf = (setup.urdf_dir / setup.controller.robot.urdf).read_bytes()
-    whole = {
+    whole: dict[str, Any] = {
         'kind': kind,
         'code': hash_code(),
         'seed': setup.seed,
         'urdf': hashlib.sha256(urdf).hexdigest(),
         'arm': repr(find_robot(setup.plant.robot).arm),
-        **configurations,
-        **content,
     }
+    for name in ('scenario', 'controller', 'noise_estimator', 'plant'):
+        whole[name] = getattr(setup, name).model_dump(mode='json')
+    whole |= content
     text = json.dumps(whole, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 

@@ -10,6 +10,7 @@ from multicontact_control.errors import RunError
 from multicontact_control.judging.contact_metrics import LASTING_PUSH
 from multicontact_control.judging.evidence import collect_evidence
 from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.run_modes import IN_PROCESS
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import flatten_parameters, Setup
 import numpy as np
@@ -64,12 +65,15 @@ def measure_run(
         if result.data.ticks < SHORTEST:
             raise RunError(result.ended_early)
         run = RunMetrics(result.data, setup)
+        events = None
+        if supervised:
+            events = result.events
         summary = summarise_run(
             run,
-            mode='in_process',
+            mode=IN_PROCESS,
             timing={},
             ended_early=result.ended_early,
-            events=result.events if supervised else None,
+            events=events,
         )
         return {
             'summary': summary,
@@ -153,11 +157,17 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     for contact in summary.get('contacts', {}).values():
         steps += contact['steps']
     contacts = list(evidence.get('contacts', {}).values())
-    pushes = []
+    short_pushes = []
+    lasting_pushes = []
     for contact in contacts:
-        pushes += [push for push in contact['recoveries'] if not push['moving']]
-    short_pushes = [push for push in pushes if push['duration'] < LASTING_PUSH]
-    lasting_pushes = [push for push in pushes if push['duration'] >= LASTING_PUSH]
+        for push in contact['recoveries']:
+            if push['moving']:
+                continue
+            if push['duration'] < LASTING_PUSH:
+                short_pushes.append(push)
+            else:
+                lasting_pushes.append(push)
+    pushes = short_pushes + lasting_pushes
     row = {
         'stable': bool(summary.get('stable', False)),
         'verdict': summary.get('verdict'),
@@ -189,8 +199,11 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
 
 def _largest_of(records: Iterable[Metrics], name: str) -> float | None:
     """Return the largest of the values that are known, None if there is none."""
-    values = [record[name] for record in records]
-    return max([value for value in values if value is not None], default=None)
+    values = []
+    for record in records:
+        if record[name] is not None:
+            values.append(record[name])
+    return max(values, default=None)
 
 
 def _latest_of(records: Iterable[Metrics], name: str) -> float | None:
