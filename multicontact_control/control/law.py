@@ -21,8 +21,8 @@ from multicontact_control.contact.projections import (
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
+    compute_mobility_and_inertia,
     InertiaSpace,
-    mobility_and_inertia,
     NullspaceSpace,
 )
 from multicontact_control.dynamics.rotations import rotation_vector_between
@@ -251,7 +251,7 @@ def control_law(
     n = joints.shape[0]
     count = contacts.shape[0]
     inertia = space.inertia
-    damping, frame.mobility = mobility_and_inertia(
+    damping, frame.mobility = compute_mobility_and_inertia(
         terms.mass_matrix, terms.jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:
