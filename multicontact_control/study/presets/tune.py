@@ -65,9 +65,8 @@ class TuneStudy(Study):
         self.preset = f'laws/{law}'
         if law == 'aob':
             self.preset = 'best'
-        gains = {}
-        for name, values in ranges[law].items():
-            gains[name] = FactorConfig(values=tuple(values))
+        ranges_of_law = ranges[law].items()
+        gains = {name: FactorConfig(values=values) for name, values in ranges_of_law}
         parts = {}
         for title, part in config.parts.items():
             changes = {'preset': self.preset, 'factors': {**gains, **part.factors}}
