@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.compiled import compiled
 from multicontact_control.control.arm import ArmSpace, update_arm_state
 from multicontact_control.control.law import control_law, LawSpace
-from multicontact_control.dynamics.terms import ModelTerms
+from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.flags import (
     ALARMS,
     ANSWER_REFUSED,
@@ -67,12 +67,25 @@ class TickRecords(NamedTuple):
     workspaces: Records[Workspace]
 
 
+RecordTuple = tuple[
+    Records[Joint],
+    Records[Control],
+    Records[Contact],
+    Records[ForceLaw],
+    Records[ContactState],
+    Records[TaskLimits],
+    Records[Judgement],
+    Records[GateState],
+    Records[Workspace],
+]
+
+
 @compiled
 def tick(
     stages: int,
-    record_tuple: tuple[Any, ...],
+    record_tuple: RecordTuple,
     motion: Matrix,
-    term_tuple: tuple[Any, ...],
+    term_tuple: TermTuple,
 ) -> int:
     """
     See the arm, then act: limit the task, ask the law, judge its answer, let the torque through.

@@ -12,7 +12,7 @@ from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig, ToolConfig
 from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.dynamics.terms import ModelTerms
+from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.dynamics.urdf import check_link_tree, parse_urdf
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import MAX_JOINTS
@@ -103,19 +103,18 @@ class RobotModel:
         frame = data.oMf[self._frame]
         sensor = data.oMf[self._sensor]
         self.gravity: Vector = data.g
-        self._mass_matrix: Matrix = data.M
-        self._bias_torque: Vector = data.nle
+        self._joint_terms: tuple[Matrix, Vector] = (data.M, data.nle)
         self._placements: tuple[Vector, Matrix, Vector, Matrix] = (
             frame.translation,
             frame.rotation,
             sensor.translation,
             sensor.rotation,
         )
-        self.term_tuple = (
-            self._mass_matrix,
-            self._bias_torque,
-            np.zeros((6, self._model.nv)),
-            np.zeros((6, self._model.nv)),
+        unknown = np.zeros((6, self._model.nv))
+        self.term_tuple: TermTuple = (
+            *self._joint_terms,
+            unknown,
+            unknown,
             *self._placements,
         )
 
@@ -198,8 +197,7 @@ class RobotModel:
             model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
         )
         self.term_tuple = (
-            self._mass_matrix,
-            self._bias_torque,
+            *self._joint_terms,
             jacobian,
             jacobian_rate,
             *self._placements,

@@ -112,19 +112,18 @@ class Supervisor:
         self._q = controller.arm.q
         self._velocity = controller.arm.velocity
         self._motion = controller.arm.motion
-        self._records = tuple(
-            TickRecords(
-                joints=self._joints,
-                controls=self._controls,
-                contacts=controller.contacts,
-                laws=controller.laws,
-                states=self.task.states,
-                limits=self.task.limits,
-                judgements=judgements,
-                gates=self.gate.records,
-                workspaces=np.zeros(1, dtype=WORKSPACE),
-            )
+        records = TickRecords(
+            joints=self._joints,
+            controls=self._controls,
+            contacts=controller.contacts,
+            laws=controller.laws,
+            states=self.task.states,
+            limits=self.task.limits,
+            judgements=judgements,
+            gates=self.gate.records,
+            workspaces=np.zeros(1, dtype=WORKSPACE),
         )
+        self._records = records[:]  # a plain tuple, as `tick` takes it
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']
         self._has_free_readings = self.task.limits['has_free_readings']
