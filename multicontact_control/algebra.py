@@ -188,20 +188,17 @@ def rotate_pair(A: Matrix, vectors: Matrix, i: int, j: int) -> None:
         tangent = -tangent
     cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
     sine = tangent * cosine
-    n = A.shape[0]
-    turn_vectors(A[:, i], A[:, j], cosine, sine)
-    turn_vectors(vectors[:n, i], vectors[:n, j], cosine, sine)
-    turn_vectors(A[i], A[j], cosine, sine)
-
-
-@compiled
-def turn_vectors(x: Vector, y: Vector, cosine: float, sine: float) -> None:
-    """Replace x and y, shape (n,), by c x - s y and s x + c y, which turns their plane."""
-    for k in range(x.shape[0]):
-        first = x[k]
-        second = y[k]
-        x[k] = cosine * first - sine * second
-        y[k] = sine * first + cosine * second
+    for k in range(A.shape[0]):
+        first, second = A[k, i], A[k, j]
+        A[k, i] = cosine * first - sine * second
+        A[k, j] = sine * first + cosine * second
+        first, second = vectors[k, i], vectors[k, j]
+        vectors[k, i] = cosine * first - sine * second
+        vectors[k, j] = sine * first + cosine * second
+    for k in range(A.shape[0]):
+        first, second = A[i, k], A[j, k]
+        A[i, k] = cosine * first - sine * second
+        A[j, k] = sine * first + cosine * second
 
 
 @compiled

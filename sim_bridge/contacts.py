@@ -199,61 +199,6 @@ class Surroundings(NamedTuple):
 
 
 @compiled
-def touch_arm(
-    surroundings: Surroundings,
-    links: Records[Link],
-    qd: Vector,
-    step: float,
-    load: Vector,
-) -> int:
-    """
-    Let surfaces and hands act on the arm; return how many forces there are.
-
-    Parameters
-    ----------
-    surroundings
-        Surfaces, which move by one step, and hands; the first of the pushes are filled in.
-    links
-        Records of `LINK` that `forward_kinematics` has placed, shape (n,).
-    qd
-        Joint speeds, shape (n,) [rad/s].
-    step
-        Of the integration [s].
-    load
-        What the forces do to the joints is added to it, shape (n,) [N m].
-
-    """
-    hands = surroundings.hands
-    surfaces = surroundings.surfaces
-    pushes = surroundings.pushes
-    last = qd.shape[0] - 1
-    velocity = np.empty(3)
-    count = 0
-    for i in range(hands.shape[0]):
-        hand = hands[i]
-        if hand.force[0] != 0.0 or hand.force[1] != 0.0 or hand.force[2] != 0.0:
-            locate_point(hand.local, links[last], hand.point)
-            write_push(pushes[count], hand.force, 1.0, hand.point, last + i)
-            count += 1
-    add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
-    for i in range(surfaces.shape[0]):
-        surface = surfaces[i]
-        if surface.velocity != 0.0:
-            move_surface(surface, step)
-        locate_point(surface.tip, links[surface.joint], surface.point)
-        point_velocity(surface.point, qd, links, surface.joint, velocity)
-        press_surface(surface, velocity, surroundings.profiles[i])
-        if surface.alpha > 0.0:
-            add_joint_torque(
-                surface.point, surface.force, -1.0, links, surface.joint, load
-            )
-            write_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
-            count += 1
-    add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
-    return count
-
-
-@compiled
 def act_on_arm(
     motion: Matrix,
     torques: Matrix,
@@ -278,7 +223,7 @@ def act_on_arm(
     links, drives
         Records of `LINK`, and of `DRIVE` (none for motors that act on the links as they are).
     surroundings
-        Surfaces and hands.
+        Surfaces, which move by one step, and hands; the first of the pushes are filled in.
     step
         Of the integration [s].
 
@@ -295,15 +240,40 @@ def act_on_arm(
     load = torques[2]
     both = torques[3]
     link_side = torques[4]
-    n = q.shape[0]
-    for joint in range(n):
+    hands = surroundings.hands
+    surfaces = surroundings.surfaces
+    pushes = surroundings.pushes
+    last = q.shape[0] - 1
+    for joint in range(last + 1):
         if not np.isfinite(motor[joint]):
             return -1
         motor[joint] = min(max(motor[joint], -limit[joint]), limit[joint])
         load[joint] = 0.0
     forward_kinematics(q, links)
-    count = touch_arm(surroundings, links, qd, step, load)
-    for joint in range(n):
+    velocity = np.empty(3)
+    count = 0
+    for i in range(hands.shape[0]):
+        hand = hands[i]
+        if hand.force[0] != 0.0 or hand.force[1] != 0.0 or hand.force[2] != 0.0:
+            locate_point(hand.local, links[last], hand.point)
+            write_push(pushes[count], hand.force, 1.0, hand.point, last + i)
+            count += 1
+    add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
+    for i in range(surfaces.shape[0]):
+        surface = surfaces[i]
+        if surface.velocity != 0.0:
+            move_surface(surface, step)
+        locate_point(surface.tip, links[surface.joint], surface.point)
+        point_velocity(surface.point, qd, links, surface.joint, velocity)
+        press_surface(surface, velocity, surroundings.profiles[i])
+        if surface.alpha > 0.0:
+            add_joint_torque(
+                surface.point, surface.force, -1.0, links, surface.joint, load
+            )
+            write_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
+            count += 1
+    add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
+    for joint in range(last + 1):
         both[joint] = motor[joint] + load[joint]
         link_side[joint] = motor[joint]
     advance_drives(motor, q, qd, drives, step, link_side)

@@ -213,9 +213,7 @@ def add_nullspace_torque(
     """
     n = joints.shape[0]
     mass_matrix = terms.mass_matrix
-    pull = space.pull
     free = space.free[:n]
-    acceleration = space.acceleration
     for j in range(n):
         joint = joints[j]
         config = joint.config
@@ -224,7 +222,7 @@ def add_nullspace_torque(
         push_up = law.stop_stiffness * below * below / STOP_MARGIN
         push_down = law.stop_stiffness * above * above / STOP_MARGIN
         push = push_up - push_down
-        pull[j] = law.posture_stiffness * (config.posture - joint.q) + push
+        space.pull[j] = law.posture_stiffness * (config.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0
         for j in range(n):
@@ -234,11 +232,11 @@ def add_nullspace_torque(
         if law.posture_stiffness > 0.0:
             for j in range(n):
                 mass = mass_matrix[min(i, j), max(i, j)]
-                free[i] += mass * pull[j]
+                free[i] += mass * space.pull[j]
         joints[i].answer.torque += free[i]
     solve_lower(inertia.L[:n, :n], free)
-    multiply_vector(inertia.Y[:n].T, free, acceleration)
+    multiply_vector(inertia.Y[:n].T, free, space.acceleration)
     for j in range(n):
         for i in range(6):
-            force = dot(inertia.Lambda[i], acceleration)
+            force = dot(inertia.Lambda[i], space.acceleration)
             joints[j].answer.torque -= terms.jacobian[i, j] * force

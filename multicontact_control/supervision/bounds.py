@@ -72,7 +72,7 @@ class BoundSpace(Record, Protocol):
     What `bound_motion` works in, so that nothing is allocated; one.
 
     Rows R and bounds b say R a <= b of the accelerations a; the least change x of these costs
-    x^T H x, see `fill_joint_cost` and `add_task_cost`.
+    x^T H x, see `fill_change_cost`.
     """
 
     torque: Annotated[Vector, MAX_JOINTS]  # Gamma [N m]
@@ -206,35 +206,29 @@ def add_reach_bounds(
 
 
 @compiled
-def fill_joint_cost(mass_matrix: Matrix, cost: Matrix) -> None:
+def fill_change_cost(
+    terms: ModelTerms,
+    contacts: Records[Contact],
+    twist_des: Vector,
+    by_task: bool,
+    space: BoundSpace,
+) -> None:
     """
-    Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
+    Fill in H, `cost` of `space`, shape (n, n): a change of the accelerations by x costs x^T H x.
 
-    The metric is M, its upper triangle, shape (n, n): the joints that must stop are stopped, and
-    the torques of the others stay.
+    Without a task (`by_task`), of a reaction say, the metric is M alone: the joints that must stop
+    are stopped, and the torques of the others stay. `twist_des` is theta_des of the task, shape
+    (6,) [m/s, rad/s], `contacts` are records of `CONTACT`; of `terms` M and J are read.
     """
+    mass_matrix = terms.mass_matrix
     n = mass_matrix.shape[0]
+    row = space.row[:n]
+    cost = space.cost[:n, :n]
     for i in range(n):
         for j in range(i, n):
             cost[i, j] = JOINT_COST * mass_matrix[i, j]
-
-
-@compiled
-def add_task_cost(
-    jacobian: Matrix,
-    contacts: Records[Contact],
-    twist_des: Vector,
-    row: Vector,
-    cost: Matrix,
-) -> None:
-    """
-    Add to H what a change of the motion and of the contacts' forces costs; see `MOTION_COST`.
-
-    `jacobian` is J, shape (6, n), `contacts` are records of `CONTACT`, `twist_des` is theta_des of
-    the task, shape (6,) [m/s, rad/s]; `cost` is H, upper triangle, shape (n, n); `row`, shape
-    (n,), is overwritten.
-    """
-    n = jacobian.shape[1]
+    if not by_task:
+        return
     speed = vector_length(twist_des[:3])
     turn = MOVING_LEVER * vector_length(twist_des[3:])
     turning = turn / max(speed + turn, ROUNDING)
@@ -243,14 +237,14 @@ def add_task_cost(
     )
     for index in range(contacts.shape[0] + 6):
         if index < 6:
-            row[:] = jacobian[index]
+            row[:] = terms.jacobian[index]
             weight = MOTION_COST if index < 3 else turn_cost
         else:
             contact = contacts[index - 6]
             weight = FORCE_COST
             if not contact.answer.active:
                 continue
-            multiply_vector(jacobian.T, contact.N, row)
+            multiply_vector(terms.jacobian.T, contact.N, row)
         for i in range(n):
             for j in range(i, n):
                 cost[i, j] += weight * row[i] * row[j]
@@ -411,10 +405,7 @@ def bound_motion(
         exceeded = exceeded or space.excess[i] > 0.0
     if not exceeded:
         return 0
-    cost = space.cost[:n, :n]
-    fill_joint_cost(mass_matrix, cost)
-    if by_task:
-        add_task_cost(terms.jacobian, contacts, control.task.twist, space.row[:n], cost)
+    fill_change_cost(terms, contacts, control.task.twist, by_task, space)
     if not solve_least_change(n, count, space):
         return 0
     for i in range(n):
