@@ -196,15 +196,15 @@ class Study:
         page.write_page(
             folder / PAGE_FILE,
             f'Study {self.config.name}',
-            self._page_body(results, image),
+            self._render_page_body(results, image),
         )
 
-    def _page_body(self, results: Results, image: str) -> str:
+    def _render_page_body(self, results: Results, image: str) -> str:
         """Return the page below its title as HTML: findings, figure, tables, remarks."""
         config = self.config
         parts = [
             f'<p>{escape(config.description)}</p>',
-            _bullet_list(self.describe_findings(results)),
+            _render_bullet_list(self.describe_findings(results)),
             image,
         ]
         for section, lines in table.make_listing(results.frame, config).items():
@@ -219,14 +219,14 @@ class Study:
         warnings = self.list_warnings(results)
         if warnings:
             title = format_count(len(warnings), 'remarks')
-            remarks = page.render_details(title, _bullet_list(warnings))
+            remarks = page.render_details(title, _render_bullet_list(warnings))
         parts.append(remarks)
         for heading, text in self.further_sections(results).items():
             parts.append(f'<h2>{escape(heading)}</h2>{text}')
         return '\n'.join(parts)
 
 
-def _bullet_list(texts: Sequence[str]) -> str:
+def _render_bullet_list(texts: Sequence[str]) -> str:
     """Return plain texts as a list in HTML."""
     items = [f'<li>{escape(text)}</li>' for text in texts]
     return f'<ul>{"".join(items)}</ul>'
