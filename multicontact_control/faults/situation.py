@@ -29,7 +29,8 @@ from sim_bridge.new_robot import new_robot
 from sim_bridge.robots import DEFAULT, find_robot
 
 FOREIGN = 'foreign'  # in the place of a robot's name
-FOREIGN_URDF, FOREIGN_LINK = 'foreign_arm.urdf', 'l6'
+FOREIGN_URDF = 'foreign_arm.urdf'
+FOREIGN_LINK = 'l6'
 COMMAND_TIME = 0.1  # s, when the forces are commanded
 STEP_TIME = 1.2  # s, when a scenario's forces go from the preload to their commands
 BLEND_TIME = 1.0  # s, of a sinusoid

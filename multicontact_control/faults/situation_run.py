@@ -140,7 +140,7 @@ class SituationRun:
             is_commanded = any(control.commanded_forces.values())
             if time >= COMMAND_TIME and situation.force and not is_commanded:
                 control.set_forces(dict.fromkeys(self._names, situation.force))
-            moves = self._course.legs and in_motion
+            moves = in_motion and self._course.legs > 0
             if moves and _differs(setpoint, self._setpoint):
                 control.set_motion(setpoint)
                 self._setpoint = setpoint

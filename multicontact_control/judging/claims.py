@@ -274,9 +274,8 @@ class Statement:
     measure: Callable[[Evidence], Measurements]  # of a run that tells
     what: str  # the numbers are
     form: str = ''  # of a number, with its unit
-    counted: str = (
-        ''  # in place of a number: what a run of which the number is 1 is called
-    )
+    # In place of a number: what a run of which the number is 1 is called.
+    counted: str = ''
     low: float = 0.0  # bounds of every number
     high: float = math.inf
     select: Callable[[Runs, Sequence[str]], Runs] = select_own_run  # runs that tell

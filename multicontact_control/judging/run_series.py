@@ -72,9 +72,8 @@ class RunSeries:
         self.setup = setup
         self.missing = missing
         self.recorded = data.recorded()
-        self.leaders = list(
-            setup.controller.leading_columns
-        )  # normal force of each column
+        # Of each column, that of the normal force of its contact.
+        self.leaders = list(setup.controller.leading_columns)
         # A recording that lost its end has no say in what came of the last step.
         self.lost_from = math.inf  # s
         end = data.ticks / data.rate

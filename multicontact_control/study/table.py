@@ -280,9 +280,10 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     tables = []
     for section, frame in listing.items():
         name = section or title
+        heading = name
         for columns in _columns_that_fit(frame, width):
-            tables.append(_terminal_table(name, frame, columns))
-            name = f'{section or title}, continued'
+            tables.append(_terminal_table(heading, frame, columns))
+            heading = f'{name}, continued'
     return tables
 
 

@@ -65,8 +65,9 @@ class TuneStudy(Study):
         self.preset = f'laws/{law}'
         if law == 'aob':
             self.preset = 'best'
-        ranges_of_law = ranges[law].items()
-        gains = {name: FactorConfig(values=values) for name, values in ranges_of_law}
+        gains = {}
+        for name, values in ranges[law].items():
+            gains[name] = FactorConfig(values=values)
         parts = {}
         for title, part in config.parts.items():
             changes = {'preset': self.preset, 'factors': {**gains, **part.factors}}
