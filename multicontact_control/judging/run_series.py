@@ -193,9 +193,8 @@ class RunSeries:
         Only a simulated plant knows it. With less, a statistic over the known part would be that
         of a chosen part of the run.
         """
-        shares = []
-        for i, true in enumerate(self.data.alpha_true.T):
-            shares.append(self.find_known_share(i, true))
+        forces = enumerate(self.data.alpha_true.T)
+        shares = [self.find_known_share(i, true) for i, true in forces]
         return np.array(shares) >= LEAST_TRUTH_SHARE
 
     @cached_property
