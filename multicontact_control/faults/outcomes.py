@@ -155,8 +155,9 @@ def judge_fault(
     problems, torque_fraction = find_violations(seen, setup)
     problems |= _find_misses(fault, seen)
     latest = _latest_reaction_tick(fault, setup)
-    is_expected = phase in fault.phases and seen.fault_ticks > latest
-    expected = fault.declared if is_expected else ()
+    expected: tuple[str, ...] = ()
+    if phase in fault.phases and seen.fault_ticks > latest:
+        expected = fault.declared
     reached = _first_declared_tick(seen.reactions, expected)
     if reached is None or reached > latest:
         problems.add('declared reaction late')
@@ -177,6 +178,7 @@ def judge_fault(
         if fault.allows_return and is_off[back:].any():
             shortfalls.append('not back at its command')
     peak_force = max(seen.obstacle_forces.max(initial=0.0), seen.force.max(initial=0.0))
+    names = [f'{part.input} {part.kind}' for part in fault.parts]
     return FaultRow(
         kind=fault.kind,
         input=fault.input,
@@ -192,7 +194,7 @@ def judge_fault(
         off_command_s=off_command,
         transitions=transitions,
         shortfalls=', '.join(shortfalls),
-        pair=' + '.join(f'{part.input} {part.kind}' for part in fault.parts),
+        pair=' + '.join(names),
     )
 
 
@@ -258,7 +260,8 @@ def judge_situation(
         problems.add('motion not asked for')
     end_ticks = round(END_TIME * setup.controller.rate)
     off = np.abs(over[-end_ticks:].mean(axis=0)).max()
-    short = np.linalg.norm(way.across[-1] @ (way.setpoint[-1] - way.position[-1]))
+    missing_way = way.setpoint[-1] - way.position[-1]
+    short = np.linalg.norm(way.across[-1] @ missing_way)
     return SituationRow(
         what=what,
         peak_over_n=round(peak, 3),

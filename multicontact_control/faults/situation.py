@@ -182,7 +182,10 @@ def find_means(name: str) -> RobotMeans:
         Of its `urdf` or `engine`, if it is not installed.
 
     """
-    robot = find_robot(foreign_robot() if name == FOREIGN else name or DEFAULT)
+    if name == FOREIGN:
+        robot = find_robot(foreign_robot())
+    else:
+        robot = find_robot(name or DEFAULT)
     contacts = robot.controller_base()['contact_names']
     if name == FOREIGN and find_spec('mujoco') is None:
         raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
@@ -227,13 +230,12 @@ def resolve_situation(
         motion_duration = 0.5 * situation.legs * course.period
         scenario['duration'] = situation.motion_time + motion_duration
     chosen = {'contact_names': list(names)}
+    limits = _stops_near_home(base, situation)
+    surfaces = _tilted_surfaces(base, situation, course)
     changes = {
-        'controller': {**chosen, 'limits': _stops_near_home(base, situation)},
+        'controller': {**chosen, 'limits': limits},
         'noise_estimator': chosen,
-        'plant_overrides': {
-            **chosen,
-            'surfaces': _tilted_surfaces(base, situation, course),
-        },
+        'plant_overrides': {**chosen, 'surfaces': surfaces},
         'scenario_overrides': scenario,
     }
     return resolve(**merge(given, changes)), course
@@ -252,7 +254,8 @@ def _plan_course(
         free = np.eye(3)
         if situation.force:
             contacts = base.controller.contacts
-            free = null_space(np.array([contacts[name].normal_world for name in names]))
+            normals = [contacts[name].normal_world for name in names]
+            free = null_space(np.array(normals))
         direction, axis, distance = _towards_stop(
             state.mass_matrix, state.jacobian, free, situation
         )
@@ -263,20 +266,27 @@ def _plan_course(
         ends = np.where(direction > 0.0, limits.workspace_upper, limits.workspace_lower)
         room = np.abs(ends - state.pose.position_world) - BOX_MARGIN
         along = np.abs(direction) > 1e-9
-        distance = min(distance, float((room[along] / np.abs(direction[along])).min()))
-    legs = situation.legs if direction.any() or axis.any() else 0
+        distances = room[along] / np.abs(direction[along])
+        distance = min(distance, float(distances.min()))
+    legs = 0
+    if direction.any() or axis.any():
+        legs = situation.legs
     return Course(state.pose, direction, axis, distance, situation.speed, legs)
 
 
 def _unit_vector(vector: Vector) -> Vector:
     """Return a vector of unit length in the same direction, or 0 as it is."""
     length = float(np.linalg.norm(vector))
-    return vector / length if length else vector
+    if length == 0.0:
+        return vector
+    return vector / length
 
 
 def _side_sign(situation: SituationConfig) -> float:
     """Return in which direction the joint turns towards its stop."""
-    return 1.0 if situation.stop_side == 'upper' else -1.0
+    if situation.stop_side == 'upper':
+        return 1.0
+    return -1.0
 
 
 def _towards_stop(
@@ -340,16 +350,16 @@ def _sine_reference(
     names: tuple[str, ...],
 ) -> dict[str, Any]:
     """Return the scenario's reference: forces, then a sinusoid to either side."""
+    forces = dict.fromkeys(names, situation.force)
+    motion = {
+        'start_time': situation.motion_time,
+        'direction_world': course.direction.tolist(),
+        'amplitude': course.distance,
+        'period': course.period,
+        'blend_time': BLEND_TIME,
+    }
     return {
         'approach': {'start_time': COMMAND_TIME},
-        'force_steps': [
-            {'time': STEP_TIME, 'forces': dict.fromkeys(names, situation.force)}
-        ],
-        'motion': {
-            'start_time': situation.motion_time,
-            'direction_world': course.direction.tolist(),
-            'amplitude': course.distance,
-            'period': course.period,
-            'blend_time': BLEND_TIME,
-        },
+        'force_steps': [{'time': STEP_TIME, 'forces': forces}],
+        'motion': motion,
     }

@@ -32,6 +32,17 @@ class MotionTrace(NamedTuple):
     across: Any
     states: Sequence[tuple[str, ...]]  # of the contacts
 
+    def project_points(self, points: Matrix) -> Matrix:
+        """
+        Return the ways from the first position to some points, across the wanted normals [m].
+
+        A row for each tick, shape (ticks, 3). Along the normals the surfaces decide where the arm
+        is, and not the course.
+        """
+        ways = points - self.position[0]
+        projected: Matrix = np.einsum('kij,kj->ki', self.across, ways)
+        return projected
+
     def tip_steps(self, contact: int, normal: Vector) -> Vector:
         """
         Return how far a tip goes along a normal beside its setpoint in each tick [m].
@@ -59,10 +70,8 @@ def unasked_motion(setup: Setup, trace: MotionTrace) -> float:
     - a tip that is sought goes towards its surface by more than the approach's speed allows.
     - a tip that has been at its surface leaves it, unless the contact is left on purpose.
     """
-    position, setpoint = (
-        np.einsum('kij,kj->ki', trace.across, points - trace.position[0])
-        for points in (trace.position, trace.setpoint)
-    )
+    position = trace.project_points(trace.position)
+    setpoint = trace.project_points(trace.setpoint)
     along = position @ trace.direction
     wanted = setpoint @ trace.direction
     gap = position - setpoint - np.outer(along - wanted, trace.direction)
@@ -80,7 +89,8 @@ def _motion_away(along: Vector, wanted: Vector) -> float:
     asked = np.diff(wanted)
     gone = np.diff(along)
     missing = wanted[1:] - along[:-1]
-    with_setpoint = np.sign(asked) * np.clip(gone * np.sign(asked), 0.0, np.abs(asked))
+    way_asked_for = np.clip(gone * np.sign(asked), 0.0, np.abs(asked))
+    with_setpoint = np.sign(asked) * way_asked_for
     away = np.abs(missing - (gone - with_setpoint)) - np.abs(missing)
     return largest_motion_in_one_go(away, np.zeros(len(away), dtype=bool))
 
@@ -95,7 +105,9 @@ def _motion_aside(beside: Vector, along: Vector, wanted: Vector) -> float:
         if distance < ON_COURSE:
             left_at = place
         short = abs(goal - place)
-        towards_goal = place - left_at if goal > place else left_at - place
+        towards_goal = place - left_at
+        if goal <= place:
+            towards_goal = left_at - place
         way_since = max(0.0, towards_goal)
         edge_distance = math.sqrt(way_since * max(0.0, short - LAG))
         step = distance - before
@@ -145,7 +157,9 @@ def largest_motion_in_one_go(steps: Vector, ended: Mask) -> float:
     largest = 0.0
     total = 0.0
     for step, has_ended in zip(steps.tolist(), ended.tolist()):
-        total = 0.0 if has_ended else max(0.0, total + step)
+        total = max(0.0, total + step)
+        if has_ended:
+            total = 0.0
         largest = max(largest, total)
     return largest
 

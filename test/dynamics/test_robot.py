@@ -431,7 +431,7 @@ def damage(urdf, which, kind, fault, factor):
 def find_complaints(config, folder):
     """Return what the model check says, refusals and warnings, as one text."""
     try:
-        return ' '.join(RobotModel(config, folder).warnings())
+        return ' '.join(RobotModel(config, folder).list_warnings())
     except ConfigError as error:
         return str(error)
 
@@ -448,7 +448,7 @@ def test_model_check_names_each_damage_or_it_does_no_harm(seven, kind, faults):
     config = seven_joint_config(seven)
     whole = seven.read_text()
     true = RobotModel(config, seven.parent)
-    assert true.warnings() == ()
+    assert true.list_warnings() == ()
     zero = np.zeros(7)
     limit = true.torque_limit
     postures = np.random.default_rng(7).uniform(-1.5, 1.5, (10, 7))

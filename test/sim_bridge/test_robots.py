@@ -171,7 +171,7 @@ def controlled(name, controller):
 @pytest.mark.parametrize('name', ROBOTS)
 def test_controller_warns_of_the_links_with_a_placeholder(name, controller, controlled):
     warned = []
-    for text in controlled.warnings(controller.torque_limit):
+    for text in controlled.list_warnings(controller.torque_limit):
         warned += re.findall(r'robot\.urdf\.(\w+)\.inertia', text) or [text]
     assert warned == PLACEHOLDERS.get(name, [])
 
