@@ -25,15 +25,15 @@ Tell = Callable[[str], None]  # shows a line to the user
 
 
 class SensedArm(NamedTuple):
-    """An arm with a wrist sensor: its controller's configuration, and its model."""
+    """
+    An arm with a wrist sensor: its controller's configuration, and its model.
+
+    The model turns joint angles into the sensor's orientation, on which the weight that it feels
+    depends.
+    """
 
     controller: ControllerConfig
     robot: RobotModel
-
-    @property
-    def gravity_world(self) -> Vector:
-        """Gravity, shape (3,) [m/s^2]."""
-        return np.array(self.controller.robot.gravity_world)
 
 
 def list_quiet_poses(
@@ -77,9 +77,8 @@ def list_quiet_poses(
     for begin, end in find_rests(q_time, q):
         at_rest = (q_time >= begin) & (q_time <= end)
         felt = readings[(wrench_time >= begin) & (wrench_time <= end)]
-        state = arm.robot.update(
-            q[at_rest].mean(axis=0), np.zeros(arm.robot.joint_count)
-        )
+        angles = q[at_rest].mean(axis=0)
+        state = arm.robot.update(angles, np.zeros(arm.robot.joint_count))
         rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
         try:
             reading = average_rest_readings(felt)

@@ -198,7 +198,7 @@ def _plan_run(
         if factor.multiples_of:
             parameter = factor.sets or name
             multiple = settings.pop(parameter)
-            settings |= _multiples(factor, parameter, multiple, base)
+            settings |= _list_multiples(factor, parameter, multiple, base)
     return RunJob(
         lay_over_arguments(arguments, {**values, **settings}, base),
         part.supervised,
@@ -226,7 +226,7 @@ def _has_values(setup: Setup, expected: Mapping[str, Any]) -> bool:
     return True
 
 
-def _multiples(
+def _list_multiples(
     factor: FactorConfig, parameter: str, multiple: float, base: Setup
 ) -> dict[str, float]:
     """

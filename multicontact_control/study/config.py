@@ -60,7 +60,7 @@ class FactorConfig(Config):
 
     @model_validator(mode='before')
     @classmethod
-    def _spell_out(cls, given: Any) -> Any:
+    def _spell_out_fields(cls, given: Any) -> Any:
         """Return the fields of a list of values, or of levels by label."""
         if isinstance(given, (list, tuple)):
             return {'values': given}
@@ -358,7 +358,7 @@ def apply_choices(
         if 'plant' in choices:
             plants = choices['plant']
         elif robot:
-            plants = _plants_of_robot(robot, part.plants)
+            plants = _list_plants_of_robot(robot, part.plants)
         else:
             plants = part.plants
         names = [plant_source(plant, robot).name for plant in plants]
@@ -400,7 +400,7 @@ def _choose_values(
     return chosen
 
 
-def _plants_of_robot(robot: str, names: Sequence[str]) -> list[str]:
+def _list_plants_of_robot(robot: str, names: Sequence[str]) -> list[str]:
     """Return those plants of some names that a robot has, its default one if it has none."""
     known = find_robot(robot)
     return list(filter(known.plant_name, names)) or ['']

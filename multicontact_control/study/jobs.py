@@ -197,13 +197,13 @@ def read_finished(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]
     """
     finished = {}
     for key in keys:
-        path = _cell_file(folder, key)
+        path = _find_cell_file(folder, key)
         if path.exists():
             finished[key] = read_json_file(path)['metrics']
     return finished
 
 
-def _cell_file(folder: Path, key: str) -> Path:
+def _find_cell_file(folder: Path, key: str) -> Path:
     return folder / CELLS / f'{key}.json'
 
 
@@ -275,7 +275,7 @@ def run_jobs(
                 'wall_s': wall_time,
                 'metrics': metrics,
             }
-            replace_json_file(_cell_file(folder, key), content)
+            replace_json_file(_find_cell_file(folder, key), content)
             finished[key] = metrics
             progress.advance(bar)
             is_next_tenth = 10 * len(finished) % len(jobs) < 10

@@ -78,9 +78,9 @@ def measure_run(
         return {
             'summary': summary,
             'evidence': collect_evidence(run, summary),
-            'final_error_share': _final_error_share(run),
-            'activity_nm': _torque_activity(run),
-            'neighbour_n': _neighbour_error(run, surface_gone),
+            'final_error_share': _measure_final_error(run),
+            'activity_nm': _measure_activity(run),
+            'neighbour_n': _measure_neighbour_error(run, surface_gone),
             'error': None,
         }
     except Exception as problem:
@@ -98,14 +98,14 @@ def _move_surface(
     leaves, returns = gone
     moves = {round(leaves * rate): AWAY, round(returns * rate): -AWAY}
 
-    def disturb(loop: Any) -> None:
+    def move_surface(loop: Any) -> None:
         if loop.tick in moves:
             loop.plant.contacts.shift_surface(last_surface, moves[loop.tick])
 
-    return disturb
+    return move_surface
 
 
-def _final_error_share(run: RunMetrics) -> float:
+def _measure_final_error(run: RunMetrics) -> float:
     """Return the largest force error of the last 0.5 s, relative to the task's command."""
     at_end = run.data.time > run.data.time[-1] - END_TIME
     desired = run.command[at_end]
@@ -115,7 +115,7 @@ def _final_error_share(run: RunMetrics) -> float:
     return float(np.max(errors / desired))
 
 
-def _torque_activity(run: RunMetrics) -> float:
+def _measure_activity(run: RunMetrics) -> float:
     """Return the rms change of torque per period of the joint with the largest [N m]."""
     window = run.windows.moving
     if not window.any():
@@ -126,7 +126,9 @@ def _torque_activity(run: RunMetrics) -> float:
     return float(np.sqrt((change * change).mean(axis=0)).max())
 
 
-def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float | None:
+def _measure_neighbour_error(
+    run: RunMetrics, gone: tuple[float, float] | None
+) -> float | None:
     """Return the largest mean error over 12 ms of the first force around that time [N]."""
     if gone is None:
         return None
@@ -178,14 +180,14 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     }
     for window, figure in WINDOW_FIGURES:
         figures = [contact[window] for contact in contacts]
-        row[f'{window}_{figure}'] = _largest_of(figures, figure)
+        row[f'{window}_{figure}'] = _find_largest(figures, figure)
     row |= {
-        'push_peak_n': _largest_of(pushes, 'peak'),
-        'push_off_s': _latest_of(pushes, 'recovery'),
-        'short_push_s': _latest_of(short_pushes, 'recovery'),
-        'lasting_push_s': _latest_of(lasting_pushes, 'recovery'),
-        'rise_s': _latest_of(steps, 'rise_63_s'),
-        'overshoot_percent': _largest_of(steps, 'overshoot_percent'),
+        'push_peak_n': _find_largest(pushes, 'peak'),
+        'push_off_s': _find_latest(pushes, 'recovery'),
+        'short_push_s': _find_latest(short_pushes, 'recovery'),
+        'lasting_push_s': _find_latest(lasting_pushes, 'recovery'),
+        'rise_s': _find_latest(steps, 'rise_63_s'),
+        'overshoot_percent': _find_largest(steps, 'overshoot_percent'),
         'activity_nm': metrics.get('activity_nm'),
         'neighbour_n': metrics.get('neighbour_n'),
     }
@@ -197,7 +199,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     return row
 
 
-def _largest_of(records: Iterable[Metrics], name: str) -> float | None:
+def _find_largest(records: Iterable[Metrics], name: str) -> float | None:
     """Return the largest of the values that are known, None if there is none."""
     values = []
     for record in records:
@@ -206,7 +208,7 @@ def _largest_of(records: Iterable[Metrics], name: str) -> float | None:
     return max(values, default=None)
 
 
-def _latest_of(records: Iterable[Metrics], name: str) -> float | None:
+def _find_latest(records: Iterable[Metrics], name: str) -> float | None:
     """Return the largest time, infinite if an event never came, None if there are no times."""
     times = [record[name] for record in records]
     if None in times:

@@ -206,15 +206,15 @@ class Study:
         page.write_page(
             folder / PAGE_FILE,
             f'Study {self.config.name}',
-            self._page_body(results, image),
+            self._render_page_body(results, image),
         )
 
-    def _page_body(self, results: Results, image: str) -> str:
+    def _render_page_body(self, results: Results, image: str) -> str:
         """Return the page below its title as HTML: findings, figure, tables, remarks."""
         config = self.config
         parts = [
             f'<p>{escape(config.description)}</p>',
-            _bullet_list(self.describe_findings(results)),
+            _render_bullet_list(self.describe_findings(results)),
             image,
         ]
         for section, listed in table.make_listing(results.frame, config).items():
@@ -228,13 +228,13 @@ class Study:
         remarks = self.list_remarks(results)
         if remarks:
             title = format_count(len(remarks), 'remarks')
-            parts.append(page.render_details(title, _bullet_list(remarks)))
+            parts.append(page.render_details(title, _render_bullet_list(remarks)))
         for heading, text in self.further_sections(results).items():
             parts.append(f'<h2>{escape(heading)}</h2>{text}')
         return '\n'.join(parts)
 
 
-def _bullet_list(texts: Sequence[str]) -> str:
+def _render_bullet_list(texts: Sequence[str]) -> str:
     """Return plain texts as a list in HTML."""
     items = [f'<li>{escape(text)}</li>' for text in texts]
     return f'<ul>{"".join(items)}</ul>'

@@ -107,15 +107,15 @@ def make_listing(frame: pd.DataFrame, study: StudyConfig) -> Listing:
         has_values = frame[name].astype(str).ne('').any()
         if has_values and name not in elsewhere:
             factors.append(name)
-    heads = [_factor_head(frame, study, name) for name in factors]
+    heads = [_describe_factor(frame, study, name) for name in factors]
     by_section = [name for name in study.sections if frame[name].nunique() > 1]
     listing = {}
-    for title, section in _groups(frame, by_section):
+    for title, section in _group_rows(frame, by_section):
         lines = []
-        for values, runs in _groups(section, factors):
+        for values, runs in _group_rows(section, factors):
             line = dict(zip(heads, map(format_value, values)))
             for column in columns:
-                line[column.name] = _fill_cell(column, runs, study)
+                line[column.name] = _describe_cell(column, runs, study)
             lines.append(line)
         shown = pd.DataFrame(lines)
         shown.attrs = {'labels': len(factors)}
@@ -124,7 +124,7 @@ def make_listing(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     return listing
 
 
-def _name_and_unit(
+def _find_name_and_unit(
     frame: pd.DataFrame, study: StudyConfig, factor: str
 ) -> tuple[str, str]:
     """Return what a factor is called in tables and sentences, and its unit, '' without one."""
@@ -133,17 +133,19 @@ def _name_and_unit(
     return name, frame.attrs['units'].get(factor, '')
 
 
-def _factor_head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
+def _describe_factor(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
     """Return what a factor is called in tables and figures, with its unit in brackets."""
-    name, unit = _name_and_unit(frame, study, factor)
+    name, unit = _find_name_and_unit(frame, study, factor)
     if unit:
         return f'{name} [{unit}]'
     return name
 
 
-def _equation(frame: pd.DataFrame, study: StudyConfig, factor: str, text: str) -> str:
+def _write_equation(
+    frame: pd.DataFrame, study: StudyConfig, factor: str, text: str
+) -> str:
     """Return a factor and its values as they stand in a sentence: name = values unit."""
-    name, unit = _name_and_unit(frame, study, factor)
+    name, unit = _find_name_and_unit(frame, study, factor)
     return f'{name} = {text} {unit}'.rstrip()
 
 
@@ -165,13 +167,13 @@ def describe_good_runs(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
         else:
             subject.append(name)
     subjects_by_statement: dict[str, list[str]] = {}
-    for (plant, *subjects), runs in _groups(frame, ['plant', *subject]):
+    for (plant, *subjects), runs in _group_rows(frame, ['plant', *subject]):
         good = runs[study.truth]
         equations = []
         for name in conditions:
             values = list_good_values(runs, name, study.truth)
             if runs[name].nunique() > 1 and values != NO_GOOD_VALUE:
-                equations.append(_equation(frame, study, name, values))
+                equations.append(_write_equation(frame, study, name, values))
         count = 'all runs'
         condition = 'with'
         if not good.all():
@@ -209,7 +211,7 @@ def list_good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
     return ', '.join(values)
 
 
-def _groups(
+def _group_rows(
     frame: pd.DataFrame, factors: Sequence[str]
 ) -> Iterable[tuple[tuple[Any, ...], pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
@@ -248,7 +250,7 @@ def _format_statistic(values: pd.Series, column: ColumnConfig) -> str:
     return f'{value:.{column.digits}f}'
 
 
-def _fill_cell(column: ColumnConfig, runs: pd.DataFrame, study: StudyConfig) -> str:
+def _describe_cell(column: ColumnConfig, runs: pd.DataFrame, study: StudyConfig) -> str:
     """Return the text of a column in the line that stands for some runs."""
     if column.part:
         runs = runs[runs['part'] == column.part]
@@ -289,7 +291,7 @@ def _columns_that_fit(frame: pd.DataFrame, width: int) -> list[list[str]]:
     names = list(frame)
     rooms = []
     for name in names:
-        longest_word = max(map(len, _head_lines(name)))
+        longest_word = max(map(len, _split_head(name)))
         rooms.append(2 + max(longest_word, frame[name].str.len().max()))
     labels = frame.attrs['labels']
     room_of_labels = sum(rooms[:labels])
@@ -316,7 +318,7 @@ def _terminal_table(title: str, frame: pd.DataFrame, columns: Sequence[str]) -> 
         pad_edge=False,
     )
     for name in shown:
-        head = '\n'.join(_head_lines(name))
+        head = '\n'.join(_split_head(name))
         text.add_column(escape(head), overflow='fold', justify='right')
     for column in text.columns[: len(labels)]:
         column.justify = 'left'
@@ -325,7 +327,7 @@ def _terminal_table(title: str, frame: pd.DataFrame, columns: Sequence[str]) -> 
     return text
 
 
-def _head_lines(name: str) -> list[str]:
+def _split_head(name: str) -> list[str]:
     """Return the head of a column, a word on each line."""
     return re.split(r' (?![^[]*\]|/)', name)
 
@@ -407,12 +409,12 @@ def group_series(
     markers come again. Without factors there is one series of all runs.
     """
     series = []
-    for number, (values, runs) in enumerate(_groups(frame, factors)):
+    for number, (values, runs) in enumerate(_group_rows(frame, factors)):
         words = []
         for factor, value in zip(factors, values):
             word = format_value(value)
             if factor != 'part':
-                word = _equation(frame, study, factor, word)
+                word = _write_equation(frame, study, factor, word)
             words.append(word)
         style = {
             'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
@@ -441,7 +443,7 @@ def _draw_numbers(
     )
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
         for each in series:
-            values, without_good_run = _points(
+            values, without_good_run = _find_points(
                 each.on_plant(plant).runs, factor, column, study
             )
             values = values.sort_index()
@@ -460,8 +462,8 @@ def _draw_numbers(
         if known[0] > 0.0 and known[-1] / known[0] >= WIDE_RANGE:
             axes.set_xscale('log')
             axes.xaxis.set_major_formatter('{x:g}')
-        axes.set_ylabel(_axis_title(column), fontsize=8)
-        axes.set_xlabel(_factor_head(frame, study, factor), fontsize=8)
+        axes.set_ylabel(_describe_axis(column), fontsize=8)
+        axes.set_xlabel(_describe_factor(frame, study, factor), fontsize=8)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.3)
         axes.label_outer()
@@ -495,9 +497,9 @@ def _draw_names(
         grid.flat, product(names.items(), columns)
     ):
         on_plant = [each.on_plant(plant) for each in series]
-        places = _places_of_names(on_plant, factor, known)
+        places = _find_places_of_names(on_plant, factor, known)
         for each in on_plant:
-            values, without_good_run = _points(each.runs, factor, column, study)
+            values, without_good_run = _find_points(each.runs, factor, column, study)
             levels = [places[name, each.label] for name in values.index]
             axes.plot(values, levels, linestyle='', label=each.label, **each.style)
             for name in without_good_run:
@@ -513,7 +515,7 @@ def _draw_names(
         labels = [fill(str(name), NAME_WIDTH) for name in known]
         axes.set_yticks(range(len(known)), labels)
         axes.set_ylim(len(known) - 0.5, -0.5)
-        axes.set_xlabel(_axis_title(column), fontsize=9)
+        axes.set_xlabel(_describe_axis(column), fontsize=9)
         axes.tick_params(labelsize=9)
         axes.grid(axis='x', alpha=0.4)
         axes.label_outer()
@@ -522,7 +524,7 @@ def _draw_names(
     return figure
 
 
-def _places_of_names(
+def _find_places_of_names(
     series: Sequence[Series],
     factor: str,
     names: Sequence[Any],
@@ -537,7 +539,7 @@ def _places_of_names(
     return places
 
 
-def _axis_title(column: ColumnConfig) -> str:
+def _describe_axis(column: ColumnConfig) -> str:
     """Return what an axis with the values of a column is called, in several lines."""
     name = column.name.replace('*', 'worst').replace('.', '\n')
     if column.aggregate == 'share':
@@ -545,7 +547,7 @@ def _axis_title(column: ColumnConfig) -> str:
     return name
 
 
-def _points(
+def _find_points(
     runs: pd.DataFrame,
     factor: str,
     column: ColumnConfig,

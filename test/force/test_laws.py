@@ -275,8 +275,8 @@ def test_delay_margin_is_where_the_loop_becomes_unstable(name, share, stable):
     assert (radius(law, late) < 1.0 + 1e-9) == stable
 
 
-@pytest.fixture(name='ranged')
-def fixture_ranged(name):
+@cache
+def design_of(name):
     """Return the design of a law for 2000 to 8000 N/m, with R = 2."""
     return design_for_range(
         name, stiffness=(2000.0, 8000.0), input_delay=DELAY, noise_variance=2.0
@@ -284,7 +284,8 @@ def fixture_ranged(name):
 
 
 @pytest.mark.parametrize('name', FORCE_LAWS)
-def test_design_for_a_range_has_its_margins_on_every_surface(name, ranged):
+def test_design_for_a_range_has_its_margins_on_every_surface(name):
+    ranged = design_of(name)
     force = ForceConfig(**ranged.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
     model = make_loop_model(config, ranged.stiffness)
@@ -297,8 +298,9 @@ def test_design_for_a_range_has_its_margins_on_every_surface(name, ranged):
 
 
 @pytest.mark.parametrize('name', FORCE_LAWS)
-def test_design_for_a_range_is_read_back_from_its_file(tmp_path, ranged):
+def test_design_for_a_range_is_read_back_from_its_file(tmp_path, name):
     """A law knows no contacts: their stiffness is in a setting beside its file."""
+    ranged = design_of(name)
     path = tmp_path / 'law.yaml'
     write_design(ranged, path)
     stiffness = pytest.approx(ranged.stiffness, abs=0.5)

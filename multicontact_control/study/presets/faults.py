@@ -193,7 +193,9 @@ class FaultsStudy(Study):
         faults_by_place: defaultdict[tuple[str, str], list[tuple[Names, int]]]
         faults_by_place = defaultdict(list)
 
-        def put(turn: int, phases: tuple[str, ...], names: Names, seed: int) -> None:
+        def put_in_turn(
+            turn: int, phases: tuple[str, ...], names: Names, seed: int
+        ) -> None:
             """Put a fault where it is its turn: all plants come, then all phases."""
             phase = phases[turn // len(plants) % len(phases)]
             plant = plants[turn % len(plants)]
@@ -205,15 +207,15 @@ class FaultsStudy(Study):
                 phases = (START, *PHASES)
             if len(seeds) > 1:
                 for turn, seed in enumerate(seeds):
-                    put(turn, phases, (name,), seed)
+                    put_in_turn(turn, phases, (name,), seed)
             else:
                 turn = index % (len(plants) * len(PHASES))
-                put(turn, phases, (name,), seeds[0] + turn)
+                put_in_turn(turn, phases, (name,), seeds[0] + turn)
         pair_count = PAIRS
         if len(seeds) == 1:
             pair_count = FEW_PAIRS
         for turn, pair in enumerate(draw_pairs(pair_count, seeds[0])):
-            put(turn, PHASES, pair, seeds[0] + turn)
+            put_in_turn(turn, PHASES, pair, seeds[0] + turn)
         return faults_by_place
 
     def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:

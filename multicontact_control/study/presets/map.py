@@ -111,7 +111,7 @@ class MapStudy(Study):
         for axes in grid.flat[len(groups) :]:
             axes.set_axis_off()
         for axes, ((plant, label), runs) in zip(grid.flat, groups):
-            mesh = _draw_panel(axes, runs, linear_boundaries(results)[plant])
+            mesh = _draw_overshoots(axes, runs, linear_boundaries(results)[plant])
             axes.set_title(f'{plant}: {label}', fontsize=9)
         figure.supylabel('delay [periods]', fontsize=8)
         figure.supxlabel(RATIO, fontsize=8)
@@ -149,7 +149,7 @@ def linear_boundaries(results: Results) -> Mapping[str, Boundaries]:
     return by_plant
 
 
-def _draw_panel(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
+def _draw_overshoots(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
     """Draw the overshoots of settled runs and the boundaries; return the coloured mesh."""
     overshoot = runs['overshoot_percent'].where(runs['settled']).astype(float)
     table = runs.assign(shown=overshoot.clip(lower=1.0)).pivot(
@@ -235,7 +235,7 @@ class ArmLoop:
             + config.sensor.filter_delay(config.rate)
         )
 
-    def _fed_share(self) -> float:
+    def _find_fed_share(self) -> float:
         """Return the share of the desired force in what is fed forward, of the first contact."""
         force = self.config.force
         if force.fed_forward == 'desired':
@@ -274,7 +274,7 @@ class ArmLoop:
                     whole_delay,
                 )
                 loop = margins.closed_loop(
-                    arm, law, K_2, period, fed_share=self._fed_share()
+                    arm, law, K_2, period, fed_share=self._find_fed_share()
                 )
             return margins.spectral_radius(loop) < 1.0
 

@@ -92,7 +92,7 @@ class TuneStudy(Study):
         ordered = ranked.sort_values(['last', 'rank'], kind='stable', ignore_index=True)
         return ordered.drop(columns=['last', 'rank'])
 
-    def _best_gains(self, frame: pd.DataFrame) -> dict[str, Any] | None:
+    def _find_best_gains(self, frame: pd.DataFrame) -> dict[str, Any] | None:
         """Return the gains with the least cost, None if no combination is stable."""
         best: dict[str, Any]
         (best,) = frame[self.gains].head(1).to_dict('records')
@@ -108,7 +108,7 @@ class TuneStudy(Study):
         A gain that is best for one realisation of the noise alone shows there. They run on every
         plant, with seeds 1, 2 and 3.
         """
-        best = self._best_gains(results.frame)
+        best = self._find_best_gains(results.frame)
         cells = []
         for factors, job, _ in results.cells:
             gains = {name: factors[name] for name in self.gains}
@@ -125,7 +125,7 @@ class TuneStudy(Study):
         a path. Without a stable combination there is none.
         """
         super().write_files(results, folder)
-        best = self._best_gains(results.frame)
+        best = self._find_best_gains(results.frame)
         if best is None:
             return
         law = self.config.law
@@ -143,7 +143,7 @@ class TuneStudy(Study):
         Without a combination whose runs are all stable, and have all figures of `SCALES`, the
         sentence says so instead.
         """
-        best = self._best_gains(results.frame)
+        best = self._find_best_gains(results.frame)
         law = self.config.law
         if best is None:
             finding = (
