@@ -74,12 +74,12 @@ OTHERS = (
 def blocks(document, language):
     """Return the blocks of a language in a document: line, text."""
     text = document.read_text(encoding='utf-8')
-    return [
-        (text[: match.start()].count('\n') + 1, match[1])
-        for match in re.finditer(
-            rf'^```{language}\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
-        )
-    ]
+    fenced = rf'^```{language}\n(.*?)^```$'
+    found = []
+    for match in re.finditer(fenced, text, re.MULTILINE | re.DOTALL):
+        line = text.count('\n', 0, match.start()) + 1
+        found.append((line, match[1]))
+    return found
 
 
 def lines_of(block):
@@ -91,8 +91,9 @@ def commands(document):
     """Yield the commands of a document: the block it stands in, its words."""
     for start, block in blocks(document, 'sh'):
         for line in lines_of(block):
-            for words in re.split(r'\s&&\s', line):
-                if words := shlex.split(words, comments=True):
+            for command in re.split(r'\s&&\s', line):
+                words = shlex.split(command, comments=True)
+                if words:
                     yield f'{document.name}:{start}', words
 
 
@@ -101,12 +102,20 @@ def known_commands():
     known = {}
     for name, command in typer.main.get_command(app).commands.items():
         inner = getattr(command, 'commands', None)
-        known |= (
-            {f'{name} {key}': x for key, x in inner.items()}
-            if inner
-            else {name: command}
-        )
+        if not inner:
+            known[name] = command
+            continue
+        for key, inner_command in inner.items():
+            known[f'{name} {key}'] = inner_command
     return known
+
+
+def name_of(words):
+    """Return the name of a command, which is two words for `topic`, and the words after it."""
+    size = 1
+    if words[1:2] == ['topic']:
+        size = 2
+    return ' '.join(words[1 : 1 + size]), words[1 + size :]
 
 
 def parse(words):
@@ -114,37 +123,26 @@ def parse(words):
     if words[1].startswith('--'):
         assert words[1] in ('--help', '--version', '--install-completion')
         return
-    size = 2 if words[1] == 'topic' else 1
-    name = ' '.join(words[1 : 1 + size])
+    name, arguments = name_of(words)
     for word in set(words[2:]) - YOURS:
         if re.fullmatch(r'[\w./-]+\.(yaml|urdf|json)|config/[\w./-]+', word):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
-    values = known_commands()[name].make_context(name, list(words[1 + size :])).params
+    values = known_commands()[name].make_context(name, arguments).params
     if name == 'study' and values['name']:
-        apply_choices(
-            read_study(values['name']), read_choices(values['settings'] or ())
-        )
-    if (
-        'scenario' in values
-        and not values.get('external')
-        and values['robot'] not in YOURS
-        and (has_urdf(values['robot'] or 'puma'))
-    ):
-        RunOptions(
-            **{
-                field.name: values[field.name]
-                for field in fields(RunOptions)
-                if field.name in values
-            }
-        ).setup()
+        choices = read_choices(values['settings'] or ())
+        apply_choices(read_study(values['name']), choices)
+    if 'scenario' not in values or values.get('external') or values['robot'] in YOURS:
+        return
+    if has_urdf(values['robot'] or 'puma'):
+        names = {field.name for field in fields(RunOptions)} & values.keys()
+        RunOptions(**{name: values[name] for name in names}).setup()
 
 
 def make(words):
     makefile = (ROOT / 'Makefile').read_text(encoding='utf-8')
     for target in words[1:]:
-        assert '=' in target or re.search(rf'^{target}:', makefile, re.MULTILINE), (
-            target
-        )
+        is_variable = '=' in target
+        assert is_variable or re.search(rf'^{target}:', makefile, re.MULTILINE), target
 
 
 @pytest.mark.parametrize(
@@ -156,8 +154,10 @@ def make(words):
     ],
 )
 def test_command_is_one_that_there_is(words):
-    if words[0] in ('multicontact', 'make'):
-        {'multicontact': parse, 'make': make}[words[0]](words)
+    if words[0] == 'multicontact':
+        parse(words)
+    elif words[0] == 'make':
+        make(words)
     else:
         assert ' '.join(words).startswith(OTHERS)
 
@@ -174,35 +174,32 @@ def test_command_that_the_wheels_lack_says_where_it_is_from(document):
             assert NATIVE.search(before + text), text
 
 
+OTHER_OPTIONS = {
+    '--version',
+    '--install-completion',
+    '--autostart',
+    '--ros-args',
+    '--params-file',
+}
+
+
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
 def test_options_in_the_text_are_those_of_commands(document):
     """Of `command --option` that command's, of `--option` alone those of any."""
-    known = {
-        name: {option for x in command.params for option in x.opts} | {'--help'}
-        for name, command in known_commands().items()
-    }
-    every = set().union(
-        *known.values(),
-        {
-            '--version',
-            '--install-completion',
-            '--autostart',
-            '--ros-args',
-            '--params-file',
-        },
-    )
+    known = {}
+    for name, command in known_commands().items():
+        known[name] = {'--help'}
+        for parameter in command.params:
+            known[name].update(parameter.opts)
+    every = OTHER_OPTIONS.union(*known.values())
     for span in re.findall(r'(?<!`)`([^`]+)`(?!`)', prose(document)):
         words = span.split()
         if words[0] == 'make':
             make(shlex.split(span))
         elif words[0] == 'multicontact' and words[1:2] != ['COMMAND']:
-            name = (
-                ' '.join(words[1:3])
-                if words[1:2] == ['topic']
-                else ' '.join(words[1:2])
-            )
+            name, arguments = name_of(words)
             assert name in known or not name or name.startswith('-'), span
-            words = [name, *words[2:]]
+            words = [name, *arguments]
         if words[0] in known or words[0].startswith('--'):
             asked = {word.split('=')[0] for word in words if word.startswith('--')}
             assert asked <= known.get(words[0], every), span
@@ -222,9 +219,9 @@ def test_program_names_what_there_is(program):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
             exec(compile(ast.Module([node], []), 'imports', 'exec'), {})
         elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith('arm.'):
-            inspect.signature(getattr(MultiContactClient, node.func.attr)).bind(
-                None, *node.args, **{x.arg: x.value for x in node.keywords}
-            )
+            method = getattr(MultiContactClient, node.func.attr)
+            keywords = {keyword.arg: keyword.value for keyword in node.keywords}
+            inspect.signature(method).bind(None, *node.args, **keywords)
         elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == 'state':
             assert node.attr in ArmState.__dataclass_fields__, node.attr
 
@@ -244,11 +241,9 @@ def forces_of(run):
     """Yield messages of the measured forces of a run."""
     for time, forces in zip(run.data.time[::10], run.data.alpha_meas[::10]):
         stamp = round(time * 1e9)
-        yield (
-            topics.MEASURED_FORCES,
-            stamp,
-            messages.joint_state_message(stamp, run.data.contact_names, effort=forces),
-        )
+        names = run.data.contact_names
+        message = messages.joint_state_message(stamp, names, effort=forces)
+        yield topics.MEASURED_FORCES, stamp, message
 
 
 def outline(text):
@@ -261,7 +256,8 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
     """Line by line and program by program, with the exit codes and the words that it quotes."""
     monkeypatch.chdir(tmp_path)
     text = TUTORIAL.read_text(encoding='utf-8')
-    output, followed = '', 0
+    output = ''
+    followed = 0
     for language, block in re.findall(
         r'^```(\w+)\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
     ):

@@ -126,12 +126,9 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
         )
     signals = collect_signals(data, config, setup.urdf_dir)
     contacts = {}
-    has_stiffness = False
     for name, signal in signals.items():
-        contact = _identify_contact(signal, config.period)
-        contacts[name] = contact
-        has_stiffness |= contact['stiffness_n_m'] is not None
-    if not has_stiffness:
+        contacts[name] = _identify_contact(signal, config.period)
+    if not any(contact['stiffness_n_m'] for contact in contacts.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
             'force steps on contacts that are felt, got none'

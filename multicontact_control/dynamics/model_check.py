@@ -206,7 +206,8 @@ def _check_inertia(body: Body, length: float) -> Iterator[Finding]:
             'principal moments > 0, none above the sum of the others',
             f'{", ".join(texts)} kg m^2',
         )
-    radius = math.sqrt(max(largest, 0.0) / max(body.mass, 0.01))
+    mass = max(body.mass, 0.01)
+    radius = math.sqrt(max(largest, 0.0) / mass)
     if radius > SUSPICIOUS_REACH * length:
         unit = _guess_inertia_unit(radius / length)
         yield Finding(

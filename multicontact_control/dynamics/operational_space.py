@@ -218,11 +218,13 @@ def add_nullspace_torque(
     for i in range(n):
         momentum = 0.0
         for j in range(n):
-            momentum += mass_matrix[min(i, j), max(i, j)] * joints[j].velocity
+            mass = mass_matrix[min(i, j), max(i, j)]
+            momentum += mass * joints[j].velocity
         free[i] = joints[i].bias_torque - law.nullspace_damping * momentum
         if law.posture_stiffness > 0.0:
             for j in range(n):
-                free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
+                mass = mass_matrix[min(i, j), max(i, j)]
+                free[i] += mass * pull[j]
         joints[i].answer.torque += free[i]
     solve_lower(inertia.L[:n, :n], free)
     multiply_vector(inertia.Y[:n].T, free, acceleration)

@@ -234,7 +234,8 @@ class RobotModel:
     def compute_load_torque(self, load: ToolConfig) -> Vector:
         """Return what a load adds to g(q) where `compute` was called last, shape (n,) [N m]."""
         weight = load.mass * self._model.gravity.linear
-        lever = self._data.oMf[self._sensor].rotation @ np.array(load.com_sensor)
+        sensor = self._data.oMf[self._sensor]
+        lever = sensor.rotation @ np.array(load.com_sensor)
         jacobian = pin.getFrameJacobian(
             self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED
         )
@@ -463,15 +464,15 @@ def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) ->
     """Refuse joints that mimic others, unless they are locked, by ConfigError with all."""
     errors = []
     for name, follower in find_followers(root).items():
-        if name not in locked:
-            errors.append(
-                ConfigError(
-                    f'robot.urdf.{name}.mimic',
-                    'joints with a motor of their own',
-                    f'{name} follows {follower.leader}, no motor of its own',
-                    hint='list it in robot.locked_joints if it is no part of the arm',
-                )
-            )
+        if name in locked:
+            continue
+        error = ConfigError(
+            f'robot.urdf.{name}.mimic',
+            'joints with a motor of their own',
+            f'{name} follows {follower.leader}, no motor of its own',
+            hint='list it in robot.locked_joints if it is no part of the arm',
+        )
+        errors.append(error)
     if errors:
         raise ConfigError.combine(errors)
 
@@ -484,7 +485,8 @@ def _read_axes(root: ElementTree.Element) -> dict[str, Vector]:
         text = '1 0 0'
         if axis is not None:
             text = axis.get('xyz', text)
-        axes[joint.get('name', '')] = np.array(text.split(), dtype=float)
+        name = joint.get('name', '')
+        axes[name] = np.array(text.split(), dtype=float)
     return axes
 
 
@@ -641,7 +643,8 @@ def find_largest_gravity(model: pin.Model) -> Vector:
 
 def _sample_postures(model: pin.Model) -> Matrix:
     """Return joint angles over the joints' ranges, shape (POSTURES, n) [rad]."""
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, model.nq))
+    generator = np.random.default_rng(0)
+    angles = generator.uniform(-np.pi, np.pi, (POSTURES, model.nq))
     return np.clip(angles, model.lowerPositionLimit, model.upperPositionLimit)
 
 

@@ -60,9 +60,7 @@ class FaultRow:
     # force is, and stays, within the ceiling [s]; infinite if that never comes.
     time_to_safe_s: float
     peak_force_n: float  # largest true normal force, also on what is in the way [N]
-    peak_torque_fraction: (
-        float  # largest commanded torque over its limit, 0 without one
-    )
+    peak_torque_fraction: float  # largest command over its limit, 0 without one
     safe: bool  # without `problems`
     plant: str
     phase: str
@@ -243,7 +241,8 @@ def judge_situation(
     problems, torque_fraction = find_violations(seen, setup)
     over = seen.forces - seen.commands
     peak = float(over.max())
-    speed = float((np.abs(way.qd) / (limits.joint_speed or math.inf)).max())
+    speed_limit = limits.joint_speed or math.inf
+    speed = float((np.abs(way.qd) / speed_limit).max())
     beyond = -math.inf
     if limits.joint_lower:
         below_lower = limits.joint_lower - way.q

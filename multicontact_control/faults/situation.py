@@ -29,7 +29,8 @@ from sim_bridge.new_robot import new_robot
 from sim_bridge.robots import DEFAULT, find_robot
 
 FOREIGN = 'foreign'  # in the place of a robot's name
-FOREIGN_URDF, FOREIGN_LINK = 'foreign_arm.urdf', 'l6'
+FOREIGN_URDF = 'foreign_arm.urdf'
+FOREIGN_LINK = 'l6'
 COMMAND_TIME = 0.1  # s, when the forces are commanded
 STEP_TIME = 1.2  # s, when a scenario's forces go from the preload to their commands
 BLEND_TIME = 1.0  # s, of a sinusoid
@@ -37,6 +38,7 @@ BOX_MARGIN = 1e-3  # m
 BEYOND_STOP = 0.15  # rad, that a motion leads a joint beyond its stop
 FARTHEST_SLIDE = 0.3  # m, to lead a joint to its stop
 FARTHEST_TURN = 0.8  # rad, likewise
+SIDE_SIGNS = {'lower': -1.0, 'upper': 1.0}  # of the turn towards a stop of a joint
 
 
 class SituationConfig(Config):
@@ -182,13 +184,13 @@ def find_means(name: str) -> RobotMeans:
         Of its `urdf` or `engine`, if it is not installed.
 
     """
+    source = name or DEFAULT
     if name == FOREIGN:
-        robot = find_robot(foreign_robot())
-    else:
-        robot = find_robot(name or DEFAULT)
+        source = foreign_robot()
+        if find_spec('mujoco') is None:
+            raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
+    robot = find_robot(source)
     contacts = robot.controller_base()['contact_names']
-    if name == FOREIGN and find_spec('mujoco') is None:
-        raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
     plants = {*robot.file.plants, *robot.file.plant_aliases}
     return RobotMeans(plants, len(contacts), len(robot.arm.links))
 
@@ -282,13 +284,6 @@ def _unit_vector(vector: Vector) -> Vector:
     return vector / length
 
 
-def _side_sign(situation: SituationConfig) -> float:
-    """Return in which direction the joint turns towards its stop."""
-    if situation.stop_side == 'upper':
-        return 1.0
-    return -1.0
-
-
 def _towards_stop(
     mass_matrix: Matrix,
     jacobian: Matrix,
@@ -308,7 +303,7 @@ def _towards_stop(
     turn = rates[3:]
     rate_of_slide = float(np.linalg.norm(slide))  # rad of the joint per m
     rate_of_turn = float(np.linalg.norm(turn))
-    sign = _side_sign(situation)
+    sign = SIDE_SIGNS[situation.stop_side]
     way = situation.stop_margin + BEYOND_STOP
     if FARTHEST_SLIDE * rate_of_slide >= min(way, FARTHEST_TURN * rate_of_turn):
         distance = min(way / max(rate_of_slide, 1e-9), FARTHEST_SLIDE)
@@ -323,7 +318,7 @@ def _stops_near_home(base: Setup, situation: SituationConfig) -> dict[str, list[
     joint = situation.stop_joint - 1
     side = f'joint_{situation.stop_side}'
     stops = list(getattr(base.controller.limits, side))
-    margin = _side_sign(situation) * situation.stop_margin
+    margin = SIDE_SIGNS[situation.stop_side] * situation.stop_margin
     stops[joint] = base.plant.home[joint] + margin
     return {side: stops}
 

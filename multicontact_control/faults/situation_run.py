@@ -140,7 +140,7 @@ class SituationRun:
             is_commanded = any(control.commanded_forces.values())
             if time >= COMMAND_TIME and situation.force and not is_commanded:
                 control.set_forces(dict.fromkeys(self._names, situation.force))
-            moves = self._course.legs and in_motion
+            moves = in_motion and self._course.legs > 0
             if moves and _differs(setpoint, self._setpoint):
                 control.set_motion(setpoint)
                 self._setpoint = setpoint
@@ -179,7 +179,7 @@ class SituationRun:
             positions.append(state.pose.position_world)
         wanted = np.array(seen['commanded']) > 0.0
         normals = np.array([contacts[name].normal_world for name in self._names])
-        setpoints = self._setpoint_places()
+        setpoints = np.array([each.position_world for each in seen['setpoint']])
         return MotionTrace(
             direction=self._course.direction,
             q=q,
@@ -193,10 +193,6 @@ class SituationRun:
             across=project_across_normals(normals, wanted),
             states=seen['states'],
         )
-
-    def _setpoint_places(self) -> Matrix:
-        """Return where the operational point should have been, shape (ticks, 3) [m]."""
-        return np.array([setpoint.position_world for setpoint in self.seen['setpoint']])
 
     def _tip_setpoints(self, places: Matrix) -> Any:
         """Return where the tips would be if each setpoint were reached, shape (ticks, k, 3)."""

@@ -51,12 +51,9 @@ def select_study_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
     It is the first of the estimators that has any run. Without any, the run to be judged is
     taken, if it is of one of them.
     """
-    has_right_model = [run for run in runs[1:] if not _is_mismatched(run)]
+    candidates = _list_active_runs(runs[1:], mismatched=False)
     for estimator in estimators:
-        chosen = []
-        for run in has_right_model:
-            if run['estimator'] == estimator and _has_active_state(run):
-                chosen.append(run)
+        chosen = [run for run in candidates if run['estimator'] == estimator]
         if chosen:
             return chosen
     return select_own_run(runs, estimators)
@@ -69,16 +66,18 @@ def select_mismatched_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
     The run to be judged is among them if it is one. An estimator's name may be the beginning of
     that of a variant.
     """
-    chosen = []
+    names = tuple(estimators)
+    candidates = _list_active_runs(runs, mismatched=True)
+    return [run for run in candidates if run['estimator'].startswith(names)]
+
+
+def _list_active_runs(runs: Runs, *, mismatched: bool) -> Runs:
+    """Return the runs with active state whose surfaces are, or are not, mismatched."""
+    active = []
     for run in runs:
-        is_of_estimator = run['estimator'].startswith(tuple(estimators))
-        if is_of_estimator and _has_active_state(run) and _is_mismatched(run):
-            chosen.append(run)
-    return chosen
-
-
-def _has_active_state(run: Evidence) -> bool:
-    return bool(run['active_state_order'] > 0)
+        if run['active_state_order'] > 0 and _is_mismatched(run) == mismatched:
+            active.append(run)
+    return active
 
 
 def _list_pressed_contacts(run: Evidence) -> Iterator[tuple[str, Evidence]]:
@@ -275,9 +274,8 @@ class Statement:
     measure: Callable[[Evidence], Measurements]  # of a run that tells
     what: str  # the numbers are
     form: str = ''  # of a number, with its unit
-    counted: str = (
-        ''  # in place of a number: what a run of which the number is 1 is called
-    )
+    # In place of a number: what a run of which the number is 1 is called.
+    counted: str = ''
     low: float = 0.0  # bounds of every number
     high: float = math.inf
     select: Callable[[Runs, Sequence[str]], Runs] = select_own_run  # runs that tell
@@ -421,9 +419,8 @@ def _judge_statement(statement: Statement, runs: Runs) -> Claim:
     holds = None
     if numbers:
         measured = statement.describe_numbers(numbers)
-        smallest = min(value for _, value in numbers)
-        largest = max(value for _, value in numbers)
-        holds = statement.low <= smallest and largest <= statement.high
+        values = [value for _, value in numbers]
+        holds = statement.low <= min(values) and max(values) <= statement.high
     why = f'{statement.what}: {statement.describe_bounds()}'
     return Claim(statement.text, statement.paper, measured, holds, why)
 

@@ -68,6 +68,12 @@ ARM_NUMBERS = {
     'max_fraction_of_limit': 'torque {:.0%} of its limit at most',
 }
 
+# What a graph may lose, by key of the summary's `timing`.
+LOSSES = (
+    ('unanswered_samples', 'samples', 'not answered'),
+    ('lost_messages', 'messages', 'lost'),
+)
+
 # Takes the time into a run [s], the measured forces [N] by contact, and the real-time factor.
 ShowProgress = Callable[..., None]
 
@@ -300,14 +306,10 @@ def _list_timing_lines(summary: Mapping[str, Any]) -> list[str]:
         )
     elif summary['mode'] == LOCKSTEP and timing.get('realtime_factor'):
         lines.append(f'{timing["realtime_factor"]:.2f} times real time')
-    unanswered = timing.get('unanswered_samples')
-    if unanswered:
-        text = f'warning: {format_count(unanswered, "samples")} not answered'
-        lines.append(_mark_up(text, OTHER_COLOUR))
-    lost = timing.get('lost_messages')
-    if lost:
-        text = f'warning: {format_count(lost, "messages")} lost'
-        lines.append(_mark_up(text, OTHER_COLOUR))
+    for key, noun, loss in LOSSES:
+        if timing.get(key):
+            text = f'warning: {format_count(timing[key], noun)} {loss}'
+            lines.append(_mark_up(text, OTHER_COLOUR))
     return lines
 
 

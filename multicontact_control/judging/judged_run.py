@@ -176,7 +176,7 @@ def run_on_graph(
         extra_parameters=parameters,
         **options,
     )
-    result = _run_graph_with_progress(spec, setup)
+    result = _run_graph_with_progress(spec, f'run {setup.scenario.name}', duration)
     if not result.controlled:
         CONSOLE.print(
             'ended before any sample was answered: there is nothing to report'
@@ -242,15 +242,13 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     return _leave_results(run, spec.out, summary), interrupted
 
 
-def _run_graph_with_progress(spec: GraphSpec, setup: Setup) -> GraphResult:
-    """Run the graph and show how far it is."""
+def _run_graph_with_progress(
+    spec: GraphSpec, title: str, duration: float | None
+) -> GraphResult:
+    """Run the graph and show how far it is; `duration` is None for a run without an end [s]."""
     from multicontact_control.runs.graph.run import run_graph
 
     tell = partial(CONSOLE.print, markup=False)
-    duration = None
-    if spec.ticks:
-        duration = setup.scenario.duration
-    title = f'run {setup.scenario.name}'
     with show_progress(title, duration, CONSOLE, 'starting the nodes') as show:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:

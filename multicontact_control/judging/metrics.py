@@ -18,6 +18,7 @@ from multicontact_control.runs.scenario import Setup
 import numpy as np
 
 NO_TRUTH = 'no ground truth'
+MOTION_KEYS = ('position_rms_m', 'moving_position_rms_m', 'orientation_max_rad')
 
 
 class RunMetrics(RunSeries):
@@ -48,11 +49,7 @@ class RunMetrics(RunSeries):
         """
         data = self.data
         loaded = self.windows.loaded
-        summary: dict[str, float | None] = {
-            'position_rms_m': None,
-            'moving_position_rms_m': None,
-            'orientation_max_rad': None,
-        }
+        summary: dict[str, float | None] = dict.fromkeys(MOTION_KEYS)
         if loaded.any() and self.setup.controller.robot.urdf:
             normals = self._list_normals()
             free = np.eye(3) - np.linalg.pinv(normals) @ normals

@@ -84,21 +84,19 @@ def load_setup(folder: Path) -> Setup:
     config = folder / CONFIG_FOLDER
     if not config.is_dir():
         raise ConfigError('run', 'a folder of `multicontact run` or `simulate`', folder)
-    simulated = (config / 'plant.yaml').is_file()
-    summary: dict[str, Any] = {'plant': EXTERNAL, 'seed': 0}
-    if simulated:
-        summary['plant'] = 'unknown'
-    if (folder / SUMMARY_FILE).is_file():
-        summary |= read_summary(folder)
 
     def read_file(
         model: Any, name: str, reader: Callable[[Path], Any] = read_parameters
     ) -> Any:
         return validate(model, reader(config / name), str(config / name))
 
+    summary: dict[str, Any] = {'plant': EXTERNAL, 'seed': 0}
     plant = NO_PLANT
-    if simulated:
+    if (config / 'plant.yaml').is_file():
+        summary['plant'] = 'unknown'
         plant = read_file(PlantConfig, 'plant.yaml')
+    if (folder / SUMMARY_FILE).is_file():
+        summary |= read_summary(folder)
     return Setup(
         scenario=read_file(ScenarioConfig, 'scenario.yaml', read_yaml),
         controller=read_file(ControllerConfig, 'controller.yaml'),

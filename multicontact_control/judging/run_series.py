@@ -72,9 +72,8 @@ class RunSeries:
         self.setup = setup
         self.missing = missing
         self.recorded = data.recorded()
-        self.leaders = list(
-            setup.controller.leading_columns
-        )  # normal force of each column
+        # Of each column, that of the normal force of its contact.
+        self.leaders = list(setup.controller.leading_columns)
         # A recording that lost its end has no say in what came of the last step.
         self.lost_from = math.inf  # s
         end = data.ticks / data.rate
@@ -185,9 +184,8 @@ class RunSeries:
         Only a simulated plant knows it. With less, a statistic over the known part would be that
         of a chosen part of the run.
         """
-        shares = []
-        for i, true in enumerate(self.data.alpha_true.T):
-            shares.append(self.find_known_share(i, true))
+        forces = enumerate(self.data.alpha_true.T)
+        shares = [self.find_known_share(i, true) for i, true in forces]
         return np.array(shares) >= LEAST_TRUTH_SHARE
 
     @cached_property

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from multicontact_control.judging.panels import CURVE_COLOURS
+from multicontact_control.judging.panels import choose_colour
 from multicontact_control.runs.overrides import EVERY
 from multicontact_control.study.config import ColumnConfig, StudyConfig
 import numpy as np
@@ -22,7 +22,7 @@ from rich.markup import escape
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-MARKERS = 'osD^vPp'  # one for each of CURVE_COLOURS
+MARKERS = 'osD^vPp'  # as many as there are colours of curves
 CROSS: dict[str, Any] = {
     'linestyle': '',
     'marker': 'x',
@@ -280,9 +280,10 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     tables = []
     for section, frame in listing.items():
         name = section or title
+        heading = name
         for columns in _columns_that_fit(frame, width):
-            tables.append(_terminal_table(name, frame, columns))
-            name = f'{section or title}, continued'
+            tables.append(_terminal_table(heading, frame, columns))
+            heading = f'{name}, continued'
     return tables
 
 
@@ -417,7 +418,7 @@ def group_series(
                 word = _write_equation(frame, study, factor, word)
             words.append(word)
         style = {
-            'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
+            'color': choose_colour(number),
             'marker': MARKERS[number % len(MARKERS)],
             'markersize': 5,
         }

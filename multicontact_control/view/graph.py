@@ -359,7 +359,7 @@ class GraphSource:
             events=tuple(self._events),
             timing=self._timing,
             held=status.held,
-            moving=self._steering.motion.what,
+            moving=self._steering.motion.name,
             push_test=status.push_test,
             gains=self._steering.gains,
             push=push,

@@ -285,7 +285,7 @@ class SceneView:
         if client.client_id == self._dragged_by:
             self._dragged_by = None
 
-    def draw_snapshot(self, snapshot: Snapshot, *, labels: bool = True) -> None:
+    def draw_snapshot(self, snapshot: Snapshot, *, labels: bool) -> None:
         """
         Draw arm, contacts, forces, push and surfaces as they are in a snapshot.
 

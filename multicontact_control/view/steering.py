@@ -108,7 +108,7 @@ class GraphSteering:
     def refuses_motion(self, status: ControllerStatus) -> bool:
         """Return whether a status is the controller's refusal of the motion under way."""
         of_motion = status.command == self._motion_identifier
-        return bool(self.motion.what) and status.event == REFUSED and of_motion
+        return bool(self.motion.name) and status.event == REFUSED and of_motion
 
     def end_disobeyed_motion(self, status: ControllerStatus) -> str:
         """
@@ -120,7 +120,7 @@ class GraphSteering:
             Why it ends, in words; empty if it goes on, or if there is none.
 
         """
-        if not self.motion.what:
+        if not self.motion.name:
             return ''
         reason = ''
         if self.refuses_motion(status):
@@ -144,7 +144,7 @@ class GraphSteering:
             begin anew, with a period that is not positive.
 
         """
-        if not self.motion.what or period <= 0.0:
+        if not self.motion.name or period <= 0.0:
             return
         self._delay = min(self._delay + period, LONGEST_DELAY)
         step = min(self._delay, CATCH_UP * period, LONGEST_STEP)
@@ -163,7 +163,7 @@ class GraphSteering:
         status = self._link.last_status
         if status is not None and status.held:
             raise CommandError('~/hold', hint='the arm is held; release the hold first')
-        if self.motion.what:
+        if self.motion.name:
             return
         self._motion_identifier = new_identifier()
         self._delay = 0.0
@@ -180,7 +180,7 @@ class GraphSteering:
 
     def _hold_arm(self, on: bool) -> str:
         """Hold pose and forces, after a motion under way has come to rest; or release them."""
-        if on and self.motion.what:
+        if on and self.motion.name:
             self._publish_motion(messages.motion_message(*self.motion.halt()))
         return self._link.request_service('hold', SetBool, SetBool.Request(data=on))
 

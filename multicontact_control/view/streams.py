@@ -12,7 +12,12 @@ from multicontact_control.nodes.graph import ignore_message, take_message
 from multicontact_control.nodes.messages import read_named_vectors
 from multicontact_control.nodes.streams import MessageReader
 from multicontact_control.nodes.topics import Topic
-from multicontact_control.view.source import BLOCKS, count_point_columns, RATE
+from multicontact_control.view.source import (
+    BLOCKS,
+    count_point_columns,
+    find_torque_limits,
+    RATE,
+)
 import numpy as np
 from rclpy.node import Node
 
@@ -122,12 +127,10 @@ class CurveStreams:
 
     def __init__(self, node: Node, config: ControllerConfig) -> None:
         joint_names = config.robot.joint_names
-        limit = np.full(len(joint_names), np.inf)
-        if config.torque_limit:
-            limit[:] = config.torque_limit
+        limits = find_torque_limits(config)
 
         def relate_to_limit(torques: Matrix) -> Matrix:
-            return np.abs(torques) / limit
+            return np.abs(torques) / limits
 
         self._forces = {
             topic: EffortStream(node, topic, config.column_names)

@@ -67,7 +67,7 @@ class TuneStudy(Study):
             self.preset = 'best'
         gains = {}
         for name, values in ranges[law].items():
-            gains[name] = FactorConfig(values=tuple(values))
+            gains[name] = FactorConfig(values=values)
         parts = {}
         for title, part in config.parts.items():
             changes = {'preset': self.preset, 'factors': {**gains, **part.factors}}
