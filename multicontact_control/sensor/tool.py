@@ -24,9 +24,8 @@ MIN_SAMPLES = 25
 # sensor, less than what a moving arm or a hand on the tool makes.
 MAX_FORCE_STD = 0.5  # N
 MAX_TORQUE_STD = 0.05  # N m
-MAX_REST_SPEED = (
-    0.02  # rad/s, of any joint of an arm at rest: no inertia counts as bias
-)
+# Of any joint of an arm at rest, so that no inertia counts as bias.
+MAX_REST_SPEED = 0.02  # rad/s
 MIN_POSES = 4  # three determine a tool, the fourth confirms it
 # Condition number: at 30, four of the five poses of `calibrate` suffice from a tilt of 9 degrees.
 MAX_POSES_CONDITION = 30.0
