@@ -74,12 +74,12 @@ OTHERS = (
 def blocks(document, language):
     """Return the blocks of a language in a document: line, text."""
     text = document.read_text(encoding='utf-8')
-    return [
-        (text[: match.start()].count('\n') + 1, match[1])
-        for match in re.finditer(
-            rf'^```{language}\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
-        )
-    ]
+    fenced = re.compile(rf'^```{language}\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+    found = []
+    for match in fenced.finditer(text):
+        line = text[: match.start()].count('\n') + 1
+        found.append((line, match[1]))
+    return found
 
 
 def lines_of(block):
@@ -100,13 +100,20 @@ def known_commands():
     """Return the commands of `multicontact` by their names, as typer has them."""
     known = {}
     for name, command in typer.main.get_command(app).commands.items():
-        inner = getattr(command, 'commands', None)
-        known |= (
-            {f'{name} {key}': x for key, x in inner.items()}
-            if inner
-            else {name: command}
-        )
+        if not isinstance(command, typer.core.TyperGroup):
+            known[name] = command
+            continue
+        for key, inner in command.commands.items():
+            known[f'{name} {key}'] = inner
     return known
+
+
+def command_of(words):
+    """Return the name of the command of `multicontact` that words give, and its arguments."""
+    size = 1
+    if words[1:2] == ['topic']:
+        size = 2
+    return ' '.join(words[1 : 1 + size]), words[1 + size :]
 
 
 def parse(words):
@@ -114,50 +121,42 @@ def parse(words):
     if words[1].startswith('--'):
         assert words[1] in ('--help', '--version', '--install-completion')
         return
-    size = 2 if words[1] == 'topic' else 1
-    name = ' '.join(words[1 : 1 + size])
+    name, arguments = command_of(words)
     for word in set(words[2:]) - YOURS:
         if re.fullmatch(r'[\w./-]+\.(yaml|urdf|json)|config/[\w./-]+', word):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
-    values = known_commands()[name].make_context(name, list(words[1 + size :])).params
+    values = known_commands()[name].make_context(name, arguments).params
     if name == 'study' and values['name']:
-        apply_choices(
-            read_study(values['name']), read_choices(values['settings'] or ())
-        )
-    if (
-        'scenario' in values
-        and not values.get('external')
-        and values['robot'] not in YOURS
-        and (has_urdf(values['robot'] or 'puma'))
-    ):
-        RunOptions(
-            **{
-                field.name: values[field.name]
-                for field in fields(RunOptions)
-                if field.name in values
-            }
-        ).setup()
+        choices = read_choices(values['settings'] or ())
+        apply_choices(read_study(values['name']), choices)
+    if 'scenario' in values and not values.get('external'):
+        robot = values['robot'] or 'puma'
+        if robot not in YOURS and has_urdf(robot):
+            names = {field.name for field in fields(RunOptions)} & values.keys()
+            RunOptions(**{name: values[name] for name in names}).setup()
 
 
 def make(words):
     makefile = (ROOT / 'Makefile').read_text(encoding='utf-8')
+    targets = set(re.findall(r'^([\w-]+):', makefile, re.MULTILINE))
     for target in words[1:]:
-        assert '=' in target or re.search(rf'^{target}:', makefile, re.MULTILINE), (
-            target
-        )
+        assert '=' in target or target in targets
 
 
-@pytest.mark.parametrize(
-    'words',
-    [
-        pytest.param(words, id=f'{where} {" ".join(words)}')
-        for document in DOCUMENTS
-        for where, words in commands(document)
-    ],
-)
+def given_commands():
+    """Yield every command of the documents as a parameter of a test."""
+    for document in DOCUMENTS:
+        for where, words in commands(document):
+            text = ' '.join(words)
+            yield pytest.param(words, id=f'{where} {text}')
+
+
+@pytest.mark.parametrize('words', list(given_commands()))
 def test_command_is_one_that_there_is(words):
-    if words[0] in ('multicontact', 'make'):
-        {'multicontact': parse, 'make': make}[words[0]](words)
+    if words[0] == 'multicontact':
+        parse(words)
+    elif words[0] == 'make':
+        make(words)
     else:
         assert ' '.join(words).startswith(OTHERS)
 
@@ -174,57 +173,55 @@ def test_command_that_the_wheels_lack_says_where_it_is_from(document):
             assert NATIVE.search(before + text), text
 
 
+OPTIONS_OF_NO_COMMAND = (
+    '--version',
+    '--install-completion',
+    '--autostart',
+    '--ros-args',
+    '--params-file',
+)
+
+
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
 def test_options_in_the_text_are_those_of_commands(document):
     """Of `command --option` that command's, of `--option` alone those of any."""
-    known = {
-        name: {option for x in command.params for option in x.opts} | {'--help'}
-        for name, command in known_commands().items()
-    }
-    every = set().union(
-        *known.values(),
-        {
-            '--version',
-            '--install-completion',
-            '--autostart',
-            '--ros-args',
-            '--params-file',
-        },
-    )
+    known = {}
+    every = {*OPTIONS_OF_NO_COMMAND}
+    for name, command in known_commands().items():
+        known[name] = {'--help'}
+        for option in command.params:
+            known[name].update(option.opts)
+        every |= known[name]
     for span in re.findall(r'(?<!`)`([^`]+)`(?!`)', prose(document)):
         words = span.split()
         if words[0] == 'make':
             make(shlex.split(span))
         elif words[0] == 'multicontact' and words[1:2] != ['COMMAND']:
-            name = (
-                ' '.join(words[1:3])
-                if words[1:2] == ['topic']
-                else ' '.join(words[1:2])
-            )
+            name, arguments = command_of(words)
             assert name in known or not name or name.startswith('-'), span
-            words = [name, *words[2:]]
+            words = [name, *arguments]
         if words[0] in known or words[0].startswith('--'):
             asked = {word.split('=')[0] for word in words if word.startswith('--')}
             assert asked <= known.get(words[0], every), span
 
 
-@pytest.mark.parametrize(
-    'program',
-    [
-        pytest.param(text, id=f'{document.name}:{line}')
-        for document in DOCUMENTS
-        for line, text in blocks(document, 'python')
-    ],
-)
+def given_programs():
+    """Yield every program of the documents as a parameter of a test."""
+    for document in DOCUMENTS:
+        for line, text in blocks(document, 'python'):
+            yield pytest.param(text, id=f'{document.name}:{line}')
+
+
+@pytest.mark.parametrize('program', list(given_programs()))
 def test_program_names_what_there_is(program):
     """It compiles, its imports are there, and the client's methods take what they are given."""
     for node in ast.walk(ast.parse(program)):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
             exec(compile(ast.Module([node], []), 'imports', 'exec'), {})
         elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith('arm.'):
-            inspect.signature(getattr(MultiContactClient, node.func.attr)).bind(
-                None, *node.args, **{x.arg: x.value for x in node.keywords}
-            )
+            method = getattr(MultiContactClient, node.func.attr)
+            named = {keyword.arg: keyword.value for keyword in node.keywords}
+            inspect.signature(method).bind(None, *node.args, **named)
         elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == 'state':
             assert node.attr in ArmState.__dataclass_fields__, node.attr
 
@@ -244,11 +241,9 @@ def forces_of(run):
     """Yield messages of the measured forces of a run."""
     for time, forces in zip(run.data.time[::10], run.data.alpha_meas[::10]):
         stamp = round(time * 1e9)
-        yield (
-            topics.MEASURED_FORCES,
-            stamp,
-            messages.joint_state_message(stamp, run.data.contact_names, effort=forces),
-        )
+        names = run.data.contact_names
+        message = messages.joint_state_message(stamp, names, effort=forces)
+        yield topics.MEASURED_FORCES, stamp, message
 
 
 def outline(text):
@@ -261,15 +256,15 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
     """Line by line and program by program, with the exit codes and the words that it quotes."""
     monkeypatch.chdir(tmp_path)
     text = TUTORIAL.read_text(encoding='utf-8')
-    output, followed = '', 0
-    for language, block in re.findall(
-        r'^```(\w+)\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
-    ):
+    any_block = re.compile(r'^```(\w+)\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+    output = ''
+    followed = 0
+    for language, block in any_block.findall(text):
         capsys.readouterr()
         if language == 'python':
             exec(compile(block, str(TUTORIAL), 'exec'), {'__name__': '__main__'})
             output = capsys.readouterr().out
-            followed = followed + 1
+            followed += 1
         elif language == 'sh':
             for line in lines_of(block):
                 words = shlex.split(line, comments=True)
