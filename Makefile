@@ -64,7 +64,8 @@ VIEW_STAMP := $(VENV)/.view-$(KEY)
 DOCS_STAMP := $(VENV)/.docs-$(KEY)
 DATA_STAMP := $(VENV)/.data
 COMPILED_STAMP := $(VENV)/.compiled
-KERNELS := $(shell grep -rl --include='*.py' '^@compiled' multicontact_control sim_bridge)
+# Of all sources `multicontact compile` itself finds those that kernels are compiled from.
+SOURCES := $(shell find multicontact_control sim_bridge -name '*.py')
 
 define CHECK_PYTHON
 import pathlib, shutil, sys, sysconfig
@@ -163,7 +164,7 @@ $(DOCS_STAMP): $(RUN_STAMP)
 	@$(PIP) --editable '$(DOCS_PACKAGE)'
 	@touch $@
 
-$(COMPILED_STAMP): $(RUN_STAMP) $(KERNELS)
+$(COMPILED_STAMP): $(RUN_STAMP) $(SOURCES)
 	@$(WITH_ROS) $(BIN)/multicontact compile
 	@touch $@
 

@@ -7,7 +7,8 @@ How the numerical kernels are compiled: once, and again when any of their source
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ast
+from collections.abc import Callable, Iterator
 import contextlib
 from functools import cache
 import hashlib
@@ -31,7 +32,8 @@ def find_cache_folder() -> Path | None:
     Return the folder of what is compiled of these sources, None where none can be written.
 
     It lies in ``NUMBA_CACHE_DIR``, or else beside the sources or in the user's cache folder. Its
-    name is a hash over all kernels: numba compares a function's own file alone.
+    name is a hash over all kernels and what their modules import: numba compares a function's
+    own file alone, and compiles the functions and constants of others into it.
     """
     name = f'{HERE.name}-{_hash_kernels()[:16]}'
     user = os.environ.get('XDG_CACHE_HOME') or '~/.cache'
@@ -50,16 +52,43 @@ def find_cache_folder() -> Path | None:
 
 
 def _hash_kernels() -> str:
-    """Return a hash over the paths, times and texts of all modules with kernels."""
+    """Return a hash over the paths, times and texts of all that kernels are compiled from."""
     digest = hashlib.sha256()
-    modules: list[Path] = []
-    for folder in SOURCES:
-        modules += folder.rglob('*.py')
-    for module in sorted(modules):
-        text = module.read_bytes()
-        if b'@compiled' in text:
-            digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode() + text)
+    for module in sorted(_find_kernel_sources()):
+        digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode())
+        digest.update(module.read_bytes())
     return digest.hexdigest()
+
+
+def _find_kernel_sources() -> set[Path]:
+    """Return the modules with kernels and those that they import, directly or through others."""
+    remaining: list[Path] = []
+    for folder in SOURCES:
+        for module in folder.rglob('*.py'):
+            if b'@compiled' in module.read_bytes():
+                remaining.append(module)
+    sources = set(remaining)
+    while remaining:
+        for imported in _find_imported_modules(remaining.pop()):
+            if imported not in sources:
+                sources.add(imported)
+                remaining.append(imported)
+    return sources
+
+
+def _find_imported_modules(module: Path) -> Iterator[Path]:
+    """Yield the modules of `SOURCES` that a module imports before its functions can be called."""
+    packages = [folder.name for folder in SOURCES]
+    for statement in ast.parse(module.read_bytes()).body:
+        if not isinstance(statement, ast.ImportFrom) or statement.module is None:
+            continue
+        names = statement.module.split('.')
+        if names[0] not in packages:
+            continue
+        imported = HERE.parent.joinpath(*names)
+        places = [imported.with_suffix('.py'), imported / '__init__.py']
+        places += [imported / f'{alias.name}.py' for alias in statement.names]
+        yield from filter(Path.is_file, places)
 
 
 def compiled(function: FunctionT) -> FunctionT:

@@ -1,7 +1,9 @@
 """
 What a tick finds, one bit each; a kernel returns the sum of what it finds.
 
-The bits stand in the order in which `tick` finds them. Compiled code reads them as plain integers.
+The bits are grouped by the part that finds them; their order has no effect. Which cause is said
+first is in `WRONG_WRENCH` and `TOO_FAST` (`supervision.checks`). Compiled code reads the bits as
+plain integers.
 """
 
 # The arm (`control.arm`): its model gives numbers that are not finite, and no record has changed;

@@ -92,7 +92,7 @@ class ControlLoop:
         if isinstance(source, CommandedTask):
             self._commanded = source
         robot = RobotModel(config.robot, base_dir)
-        self.warnings = robot.warnings(config.torque_limit)
+        self.warnings = robot.list_warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
         resolutions = ', '.join(map(str, self.supervisor.controller.resolutions))
         self.remark = (

@@ -167,7 +167,7 @@ class ResidualStatistics(Record, Protocol):
     regressor: Annotated[Vector, 4]
     regressor_power: Annotated[Vector, 4]
 
-    # Sum of each times what the residual is beyond `at_rest`.
+    # Sum of each times what the residual is beyond `residual_at_rest`.
     correlation: Annotated[Vector, 4]
 
     residual_power: float  # sum of the squares of that [N^2 m^2]
@@ -216,7 +216,7 @@ class JointWatch(Record, Protocol):
     """
 
     effort: float  # torque that acted since the sample before [N m]
-    effort_fault: int  # why that is not measured; see `supervision.inputs`
+    effort_fault: int  # why that is not measured; see `supervision.input_checks`
     unwatched: bool  # whether it is not known, neither measured nor commanded
 
     # Of that sample [rad/s], [N m].

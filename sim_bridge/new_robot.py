@@ -14,8 +14,8 @@ from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.dynamics.robot import (
     check_torques,
     find_followers,
+    find_largest_gravity,
     Follower,
-    largest_gravity,
     load_model,
 )
 from multicontact_control.dynamics.urdf import parse_urdf
@@ -217,7 +217,7 @@ def _choose_limits(arm: Arm, draft: Draft) -> None:
     known = np.array(arm.torque_limit)
     known[(known <= 0.0) | (known >= LARGEST_LIMIT)] = np.nan
     draft.suspicious += check_torques(model, known)
-    over_gravity = np.ceil(GUESSED_OVER_GRAVITY * largest_gravity(model))
+    over_gravity = np.ceil(GUESSED_OVER_GRAVITY * find_largest_gravity(model))
     speeds = [link.speed_limit for link in arm.links]
     guessed_torques = np.maximum(GUESSED_TORQUE_LIMIT, over_gravity)
     guessed_speeds = np.full(len(speeds), GUESSED_SPEED_LIMIT)

@@ -39,20 +39,17 @@ def chromium() -> Iterator[Any]:
 
     While playwright is there, no other event loop can run.
     """
-    path = next(
-        filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))), None
-    )
-    if path is None:
-        give_up = (
-            pytest.fail
-            if os.environ.get('MULTICONTACT_BROWSER') == REQUIRED
-            else (pytest.skip)
-        )
-        give_up('no Chromium to test the pages in')
+    asked_for = os.environ.get('CHROMIUM', '')
+    found = [path for path in map(shutil.which, (asked_for, *NAMES)) if path]
+    if not found:
+        missing = 'no Chromium to test the pages in'
+        if os.environ.get('MULTICONTACT_BROWSER') == REQUIRED:
+            pytest.fail(missing)
+        pytest.skip(missing)
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=path, args=SWITCHES)
+        browser = driver.chromium.launch(executable_path=found[0], args=SWITCHES)
         try:
             yield browser
         finally:
@@ -67,26 +64,27 @@ class Tab:
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.problems: list[str] = []
         self.requests: list[str] = []
-        self.page.on(
-            'console',
-            lambda line: (
-                self.problems.append(line.text) if line.type == 'error' else None
-            ),
-        )
-        self.page.on('pageerror', lambda error: self.problems.append(str(error)))
-        self.page.on(
-            'requestfailed',
-            lambda request: self.problems.append(f'{request.url}: {request.failure}'),
-        )
-        self.page.on(
-            'request',
-            lambda request: (
-                self.requests.append(request.url)
-                if request.url != url and not request.url.startswith(('data:', 'blob:'))
-                else None
-            ),
-        )
+        self._url = url
+        self.page.on('console', self._on_console)
+        self.page.on('pageerror', self._on_error)
+        self.page.on('requestfailed', self._on_failed_request)
+        self.page.on('request', self._on_request)
         self.page.goto(url)
+
+    def _on_console(self, line: Any) -> None:
+        if line.type == 'error':
+            self.problems.append(line.text)
+
+    def _on_error(self, error: Any) -> None:
+        self.problems.append(str(error))
+
+    def _on_failed_request(self, request: Any) -> None:
+        self.problems.append(f'{request.url}: {request.failure}')
+
+    def _on_request(self, request: Any) -> None:
+        inline = request.url.startswith(('data:', 'blob:'))
+        if request.url != self._url and not inline:
+            self.requests.append(request.url)
 
     def ink(self, selector: str) -> list[float]:
         """Return the share of every canvas that a selector finds that is drawn on."""

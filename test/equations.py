@@ -17,7 +17,8 @@ def contact_normals(normals_world, levers_world):
 
 def free_motions(N):
     """Return T with N^T T = 0 and T^T T = 1 (P04 eqs 4, 6)."""
-    return np.linalg.svd(N)[0][:, N.shape[1] :] if N.shape[1] else np.eye(N.shape[0])
+    U, _, _ = np.linalg.svd(N)
+    return U[:, N.shape[1] :]
 
 
 def contact_coordinates(N, vector):
@@ -27,10 +28,9 @@ def contact_coordinates(N, vector):
 
 def general_projections(N, T, N_prime, T_prime):
     """Omega_f = N (T'^T N)^-1 T'^T, Omega_m = T (N'^T T)^-1 N'^T (P04 eqs 7-12)."""
-    return (
-        N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
-        T @ np.linalg.solve(N_prime.T @ T, N_prime.T),
-    )
+    Omega_f = N @ np.linalg.solve(T_prime.T @ N, T_prime.T)
+    Omega_m = T @ np.linalg.solve(N_prime.T @ T, N_prime.T)
+    return Omega_f, Omega_m
 
 
 def euclidean_projections(N):
@@ -47,7 +47,9 @@ def inertia_projections(N, Lambda):
 
 def allocate_force(N, alpha_star, allocation):
     """Return N alpha* (P04 eq. 30), or N (N^T N)^-1 alpha* for `decoupled`."""
-    return N @ alpha_star if allocation == 'paper' else np.linalg.pinv(N).T @ alpha_star
+    if allocation == 'paper':
+        return N @ alpha_star
+    return np.linalg.pinv(N).T @ alpha_star
 
 
 def operational_stiffness(k_env, normal, lever):
@@ -57,7 +59,9 @@ def operational_stiffness(k_env, normal, lever):
 
 def contact_rates(N, twist, allocation):
     """Return N^+ theta, or N^T theta for `decoupled`."""
-    return np.linalg.pinv(N) @ twist if allocation == 'paper' else N.T @ twist
+    if allocation == 'paper':
+        return np.linalg.pinv(N) @ twist
+    return N.T @ twist
 
 
 def rotation_error(rotation_des, rotation):
@@ -82,10 +86,10 @@ def contact_wrench(reading, sensor_pose, position, tool, gravity):
     force, moment = np.reshape(reading - np.array(tool.bias_sensor), (2, 3))
     weight = tool.mass * gravity
     force = R @ force + weight
-    moment_of_weight = np.cross(R @ np.array(tool.com_sensor), weight)
-    moment_of_force = np.cross(sensor_pose.position_world - position, force)
-    moment = R @ moment + moment_of_weight + moment_of_force
-    return np.concatenate([force, moment])
+    lever_of_weight = R @ np.array(tool.com_sensor)
+    moment = R @ moment + np.cross(lever_of_weight, weight)
+    lever_of_force = sensor_pose.position_world - position
+    return np.concatenate([force, moment + np.cross(lever_of_force, force)])
 
 
 def operational_space(state, singular_mobility=0.0):
@@ -94,7 +98,8 @@ def operational_space(state, singular_mobility=0.0):
 
     Lambda^-1 is damped by e_0 / 2 (1 - e / e_0)^2 if its smallest eigenvalue e is below e_0.
     """
-    M, J = state.mass_matrix, state.jacobian
+    M = state.mass_matrix
+    J = state.jacobian
     mobility = J @ np.linalg.solve(M, J.T)
     smallest = np.linalg.eigvalsh(mobility)[0]
     if smallest < singular_mobility:
@@ -115,7 +120,8 @@ def joint_torque(wrench, state, space, nullspace_damping=0.0, pull=0.0):
     J = state.jacobian
     acceleration = pull - nullspace_damping * state.velocity
     free = state.coriolis + state.gravity + state.mass_matrix @ acceleration
-    return J.T @ wrench + free - J.T @ (space.J_bar.T @ free)
+    free_wrench = space.J_bar.T @ free
+    return free + J.T @ (wrench - free_wrench)
 
 
 def posture_pull(q, posture, lower, upper, frequency, margin):
@@ -138,6 +144,9 @@ def limited_torque(torque, priority, limit, least_share):
     return np.clip(priority + share * beyond, -limit, limit)
 
 
+PREDICTIONS = ([], [1.0], [2.0, -1.0], [3.0, -3.0, 1.0])
+
+
 class Observer:
     """
     The active observer, with full matrices and P04's own form of the update (eqs 34-41).
@@ -147,24 +156,37 @@ class Observer:
 
     def __init__(self, Phi, Gamma, L, *, order, process_noise, initial_covariance):
         n = len(Gamma)
-        binomial = {0: [], 1: [1.0], 2: [2.0, -1.0], 3: [3.0, -3.0, 1.0]}[order]
+        size = n + order
+        kept = PREDICTIONS[order]  # weights of p_k-1, p_k-2, ... in p_k
         Phi_p = np.eye(order, k=-1)
-        Phi_p[:1] = binomial
-        newest = np.eye(order)[:1]  # the disturbance that acts
-        across = Gamma[:, None] @ newest if order else np.zeros((n, 0))
-        zero = np.zeros((order, n))
-        closed = Phi - np.outer(Gamma, L)
-        self.Phi_n = np.block([[Phi, across], [zero, Phi_p]])
-        self.Phi_c = np.block([[closed, 0.0 * across], [zero, Phi_p]])
+        Phi_p[:1] = kept
+        self.Phi_n = np.zeros((size, size))
+        self.Phi_n[:n, :n] = Phi
+        self.Phi_n[n:, n:] = Phi_p
+        self.Phi_c = self.Phi_n.copy()
+        self.Phi_c[:n, :n] -= np.outer(Gamma, L)
         self.Gamma = np.append(Gamma, np.zeros(order))
-        self.feedback = np.append(L, newest)
-        driven = np.arange(n + order) < n + min(order, 1)
-        self.Q = process_noise * np.diag(driven.astype(float))
-        self.P_0 = initial_covariance * np.eye(n + order)
+        self.feedback = np.append(L, np.zeros(order))
+        self.Q = np.zeros((size, size))
+        self.Q[:n, :n] = process_noise * np.eye(n)
+        if order:
+            self.Phi_n[:n, n] = Gamma  # the newest disturbance acts
+            self.feedback[n] = 1.0
+            self.Q[n, n] = process_noise
+        self.P_0 = initial_covariance * np.eye(size)
+        self.C = np.eye(size)[:1]
         self.reset(0.0)
 
+    @property
+    def force(self):
+        return self.x_est[0]
+
+    @property
+    def force_rate(self):
+        return self.x_est[1]
+
     def reset(self, force):
-        self.x_est = force * np.eye(len(self.Gamma))[0]
+        self.x_est = force * self.C[0]
         self.P = self.P_0
         self.r = 0.0
         self.fresh = True
@@ -174,7 +196,7 @@ class Observer:
         if self.fresh:
             self.fresh = False
             return
-        C = np.eye(len(self.Gamma))[:1]
+        C = self.C
         x_1 = self.Phi_c @ self.x_est + self.Gamma * self.r
         P_1 = self.Phi_n @ self.P @ self.Phi_n.T + self.Q
         K = P_1 @ C.T / (C @ P_1 @ C.T + variance)

@@ -21,12 +21,11 @@ SOURCES = (
 @pytest.mark.parametrize('linter', ['ament_flake8', 'ament_pep257'])
 def test_sources_are_as_ament_wants_them(linter, capsys):
     pytest.importorskip(linter, reason=f'{linter} is not installed')
-    code = importlib.import_module(f'{linter}.main').main(
-        argv=[str(ROOT / name) for name in SOURCES]
-    )
+    argv = [str(ROOT / name) for name in SOURCES]
+    code = importlib.import_module(f'{linter}.main').main(argv=argv)
     printed = ''.join(capsys.readouterr()).splitlines()
     found = [line for line in printed if line.startswith(str(ROOT))]
-    # ruff spaces the colon of a slice like an operator, as PEP 8 has it; E203 knows no slices.
-    wrong = [line for line in found if ' E203 ' not in line]
-    assert wrong == []
     assert code == 0 or found
+    for line in found:
+        # ruff spaces the colon of a slice like an operator, as PEP 8 has it; E203 knows no slices.
+        assert ' E203 ' in line

@@ -22,6 +22,7 @@ from multicontact_control.nodes.graph import (
 from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from ros_graph import obedient_graph, PATIENCE, wait_for
 
@@ -127,7 +128,7 @@ def test_client_presses_moves_and_keeps_pressing(arm, monkeypatch):
     assert np.abs(np.diff([x.position_desired[0] for x in way])).max() < 0.006
     monkeypatch.undo()
     after = reached(arm)
-    np.testing.assert_allclose(after.position_desired, goal, atol=1e-12)
+    assert_allclose(after.position_desired, goal, atol=1e-12)
     assert abs(after.position_world[0] - goal[0]) < 0.003
 
 
@@ -144,7 +145,7 @@ def test_held_arm_refuses_forces_and_motions_until_it_is_released(arm):
     assert arm.status().held and arm.status().refused >= 2
     held = arm.read()
     assert held.forces_desired == {'table': 8.0, 'board': 4.0}
-    np.testing.assert_allclose(held.position_desired, before.position_world, atol=0.002)
+    assert_allclose(held.position_desired, before.position_world, atol=0.002)
     arm.hold(False)
     assert reached(arm, table=12.0).forces_desired == {'table': 12.0, 'board': 4.0}
     with pytest.raises(RunError, match='tare refused: contacts: let go'):

@@ -74,10 +74,10 @@ OTHERS = (
 def blocks(document, language):
     """Return the blocks of a language in a document: line, text."""
     text = document.read_text(encoding='utf-8')
-    fenced = re.compile(rf'^```{language}\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+    fenced = rf'^```{language}\n(.*?)^```$'
     found = []
-    for match in fenced.finditer(text):
-        line = text[: match.start()].count('\n') + 1
+    for match in re.finditer(fenced, text, re.MULTILINE | re.DOTALL):
+        line = text.count('\n', 0, match.start()) + 1
         found.append((line, match[1]))
     return found
 
@@ -91,8 +91,9 @@ def commands(document):
     """Yield the commands of a document: the block it stands in, its words."""
     for start, block in blocks(document, 'sh'):
         for line in lines_of(block):
-            for words in re.split(r'\s&&\s', line):
-                if words := shlex.split(words, comments=True):
+            for command in re.split(r'\s&&\s', line):
+                words = shlex.split(command, comments=True)
+                if words:
                     yield f'{document.name}:{start}', words
 
 
@@ -100,16 +101,17 @@ def known_commands():
     """Return the commands of `multicontact` by their names, as typer has them."""
     known = {}
     for name, command in typer.main.get_command(app).commands.items():
-        if not isinstance(command, typer.core.TyperGroup):
+        inner = getattr(command, 'commands', None)
+        if not inner:
             known[name] = command
             continue
-        for key, inner in command.commands.items():
-            known[f'{name} {key}'] = inner
+        for key, inner_command in inner.items():
+            known[f'{name} {key}'] = inner_command
     return known
 
 
-def command_of(words):
-    """Return the name of the command of `multicontact` that words give, and its arguments."""
+def name_of(words):
+    """Return the name of a command, which is two words for `topic`, and the words after it."""
     size = 1
     if words[1:2] == ['topic']:
         size = 2
@@ -121,7 +123,7 @@ def parse(words):
     if words[1].startswith('--'):
         assert words[1] in ('--help', '--version', '--install-completion')
         return
-    name, arguments = command_of(words)
+    name, arguments = name_of(words)
     for word in set(words[2:]) - YOURS:
         if re.fullmatch(r'[\w./-]+\.(yaml|urdf|json)|config/[\w./-]+', word):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
@@ -129,29 +131,28 @@ def parse(words):
     if name == 'study' and values['name']:
         choices = read_choices(values['settings'] or ())
         apply_choices(read_study(values['name']), choices)
-    if 'scenario' in values and not values.get('external'):
-        robot = values['robot'] or 'puma'
-        if robot not in YOURS and has_urdf(robot):
-            names = {field.name for field in fields(RunOptions)} & values.keys()
-            RunOptions(**{name: values[name] for name in names}).setup()
+    if 'scenario' not in values or values.get('external') or values['robot'] in YOURS:
+        return
+    if has_urdf(values['robot'] or 'puma'):
+        names = {field.name for field in fields(RunOptions)} & values.keys()
+        RunOptions(**{name: values[name] for name in names}).setup()
 
 
 def make(words):
     makefile = (ROOT / 'Makefile').read_text(encoding='utf-8')
-    targets = set(re.findall(r'^([\w-]+):', makefile, re.MULTILINE))
     for target in words[1:]:
-        assert '=' in target or target in targets
+        is_variable = '=' in target
+        assert is_variable or re.search(rf'^{target}:', makefile, re.MULTILINE), target
 
 
-def given_commands():
-    """Yield every command of the documents as a parameter of a test."""
-    for document in DOCUMENTS:
-        for where, words in commands(document):
-            text = ' '.join(words)
-            yield pytest.param(words, id=f'{where} {text}')
-
-
-@pytest.mark.parametrize('words', list(given_commands()))
+@pytest.mark.parametrize(
+    'words',
+    [
+        pytest.param(words, id=f'{where} {" ".join(words)}')
+        for document in DOCUMENTS
+        for where, words in commands(document)
+    ],
+)
 def test_command_is_one_that_there_is(words):
     if words[0] == 'multicontact':
         parse(words)
@@ -173,31 +174,30 @@ def test_command_that_the_wheels_lack_says_where_it_is_from(document):
             assert NATIVE.search(before + text), text
 
 
-OPTIONS_OF_NO_COMMAND = (
+OTHER_OPTIONS = {
     '--version',
     '--install-completion',
     '--autostart',
     '--ros-args',
     '--params-file',
-)
+}
 
 
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
 def test_options_in_the_text_are_those_of_commands(document):
     """Of `command --option` that command's, of `--option` alone those of any."""
     known = {}
-    every = {*OPTIONS_OF_NO_COMMAND}
     for name, command in known_commands().items():
         known[name] = {'--help'}
-        for option in command.params:
-            known[name].update(option.opts)
-        every |= known[name]
+        for parameter in command.params:
+            known[name].update(parameter.opts)
+    every = OTHER_OPTIONS.union(*known.values())
     for span in re.findall(r'(?<!`)`([^`]+)`(?!`)', prose(document)):
         words = span.split()
         if words[0] == 'make':
             make(shlex.split(span))
         elif words[0] == 'multicontact' and words[1:2] != ['COMMAND']:
-            name, arguments = command_of(words)
+            name, arguments = name_of(words)
             assert name in known or not name or name.startswith('-'), span
             words = [name, *arguments]
         if words[0] in known or words[0].startswith('--'):
@@ -205,14 +205,14 @@ def test_options_in_the_text_are_those_of_commands(document):
             assert asked <= known.get(words[0], every), span
 
 
-def given_programs():
-    """Yield every program of the documents as a parameter of a test."""
-    for document in DOCUMENTS:
-        for line, text in blocks(document, 'python'):
-            yield pytest.param(text, id=f'{document.name}:{line}')
-
-
-@pytest.mark.parametrize('program', list(given_programs()))
+@pytest.mark.parametrize(
+    'program',
+    [
+        pytest.param(text, id=f'{document.name}:{line}')
+        for document in DOCUMENTS
+        for line, text in blocks(document, 'python')
+    ],
+)
 def test_program_names_what_there_is(program):
     """It compiles, its imports are there, and the client's methods take what they are given."""
     for node in ast.walk(ast.parse(program)):
@@ -220,8 +220,8 @@ def test_program_names_what_there_is(program):
             exec(compile(ast.Module([node], []), 'imports', 'exec'), {})
         elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith('arm.'):
             method = getattr(MultiContactClient, node.func.attr)
-            named = {keyword.arg: keyword.value for keyword in node.keywords}
-            inspect.signature(method).bind(None, *node.args, **named)
+            keywords = {keyword.arg: keyword.value for keyword in node.keywords}
+            inspect.signature(method).bind(None, *node.args, **keywords)
         elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == 'state':
             assert node.attr in ArmState.__dataclass_fields__, node.attr
 
@@ -256,15 +256,16 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
     """Line by line and program by program, with the exit codes and the words that it quotes."""
     monkeypatch.chdir(tmp_path)
     text = TUTORIAL.read_text(encoding='utf-8')
-    any_block = re.compile(r'^```(\w+)\n(.*?)^```$', re.MULTILINE | re.DOTALL)
     output = ''
     followed = 0
-    for language, block in any_block.findall(text):
+    for language, block in re.findall(
+        r'^```(\w+)\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
+    ):
         capsys.readouterr()
         if language == 'python':
             exec(compile(block, str(TUTORIAL), 'exec'), {'__name__': '__main__'})
             output = capsys.readouterr().out
-            followed += 1
+            followed = followed + 1
         elif language == 'sh':
             for line in lines_of(block):
                 words = shlex.split(line, comments=True)

@@ -15,6 +15,11 @@ CALLER = HEAD + (
     'from multicontact_control.inner import inner\n@compiled\ndef outer(x): return inner(x)\n'
 )
 INNER = HEAD + '@compiled\ndef inner(x): return x + {}\n'
+OF_CONSTANT = 'from multicontact_control.middle import NUMBER\n' + INNER.format(
+    'NUMBER'
+)
+MIDDLE = 'from multicontact_control import deepest\nNUMBER = 2.0 * deepest.NUMBER\n'
+DEEPEST = 'NUMBER = {}\n'
 RUN = (
     'from multicontact_control import compiled\n'
     'from multicontact_control.outer import outer\n'
@@ -56,6 +61,26 @@ def test_change_of_a_called_function_compiles_its_callers_anew(tmp_path):
     assert run(tmp_path) == ['2.0', '0']
     write_kernels(tmp_path, 25.0)  # another size: Python compares size and second
     assert run(tmp_path) == ['26.0', '2']
+
+
+def test_change_of_an_imported_constant_compiles_what_uses_it_anew(tmp_path):
+    """The constant comes from a module without kernels, through another one."""
+    package = write_kernels(tmp_path, 0.0)
+    (package / 'inner.py').write_text(OF_CONSTANT)
+    (package / 'middle.py').write_text(MIDDLE)
+    (package / 'deepest.py').write_text(DEEPEST.format(1.0))
+    assert run(tmp_path) == ['3.0', '2']
+    assert run(tmp_path) == ['3.0', '0']
+    (package / 'deepest.py').write_text(DEEPEST.format(12.0))  # another size, as above
+    assert run(tmp_path) == ['25.0', '2']
+
+
+def test_change_of_a_module_without_constants_of_kernels_keeps_them(tmp_path):
+    package = write_kernels(tmp_path, 1.0)
+    (package / 'apart.py').write_text(DEEPEST.format(1.0))
+    assert run(tmp_path) == ['2.0', '2']
+    (package / 'apart.py').write_text(DEEPEST.format(12.0))
+    assert run(tmp_path) == ['2.0', '0']
 
 
 def test_installation_that_cannot_be_written_is_compiled_once(tmp_path):

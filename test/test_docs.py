@@ -6,6 +6,11 @@ import re
 import subprocess
 import sys
 
+from arms import controller_config
+from multicontact_control.flags import ANSWER_NOT_FINITE
+from multicontact_control.supervision import checks
+from multicontact_control.supervision.inputs import PARTS, PROBLEMS
+from multicontact_control.supervision.reactions import FLOAT, LATCHED, RECOVERING
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,6 +33,34 @@ def test_equations_are_in_the_functions_that_the_derivation_names():
         source = (PACKAGE / path).read_text(encoding='utf-8')
         defined = re.findall(r'^ *(?:def|class) (\w+)', source, re.MULTILINE)
         assert {name, second} <= {*defined, ''}, path
+
+
+CAUSES = re.compile(r'^\| `(\w+)` \| .* \| `?([\w.]+)`? \|$', re.MULTILINE)
+SUPERVISED_CAUSES = (
+    *checks.WRONG_WRENCH.values(),
+    *checks.TOO_FAST.values(),
+    checks.VELOCITY_CONTRADICTED,
+    checks.name_refusal_cause(ANSWER_NOT_FINITE),
+    RECOVERING,
+    LATCHED,
+)
+
+
+def test_interface_says_which_reaction_each_cause_leads_to():
+    """What an exception or the joint of a collision adds to a cause is not in the table."""
+    text = (ROOT / 'docs/interface.md').read_text(encoding='utf-8')
+    section = text.partition('## Reactions')[2].partition('## Nodes')[0]
+    reactions = dict(CAUSES.findall(section))
+    assert {*SUPERVISED_CAUSES} < {*reactions}
+    of_inputs = {
+        cause.partition('_')[2] for cause in reactions if cause.startswith(PARTS)
+    }
+    assert {*PROBLEMS[1:], 'stale'} <= of_inputs
+    assert reactions.pop('collision_JOINT') == 'collision.reaction'
+    assert reactions.pop('internal_ERROR') == FLOAT
+    config = controller_config()
+    for cause, reaction in reactions.items():
+        assert checks.choose_severest_reaction((cause,), config) == reaction, cause
 
 
 def prose(path):

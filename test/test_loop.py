@@ -1,5 +1,9 @@
 """A control loop between activation and deactivation, with its supervisor, without middleware."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
 from arms import HOME, pressed_wrench, still_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,9 +22,11 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-H, PERIOD = 0.002, 2_000_000
+H = 0.002
+PERIOD = 2_000_000
 ORIGIN = 86_400 * 10**9  # where the stamps start
 REST = np.zeros(6)
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])
@@ -63,12 +69,15 @@ class Bench:
         """Answer samples, after a change of them if there is one; return the last torque."""
         for _ in range(n):
             self.timing.add_reading(JointInput(self.stamp, q.copy(), qd, effort))
-            self.timing.add_reading(
-                WrenchInput(self.stamp, self.wrench() if wrench is None else wrench)
-            )
+            reading = wrench
+            if wrench is None:
+                reading = self.wrench()
+            self.timing.add_reading(WrenchInput(self.stamp, reading))
             action, inputs = self.timing.decide_on_message(self.stamp)
             assert action is Action.STEP
-            torque = self.loop.step(change(inputs) if change else inputs)
+            if change:
+                inputs = change(inputs)
+            torque = self.loop.step(inputs)
             self.timing.add_noise_variance(self.stamp, np.full(2, 0.6))
             self.k += 1
         return torque
@@ -104,12 +113,15 @@ class Bench:
     def states(self):
         return dict(zip(self.config.contact_names, self.loop.status.contact_states))
 
+    def command_force(self):
+        self.loop.set_forces({'table': 5.0})
+
+    def command_hold(self):
+        self.loop.hold(True)
+
     def assert_refused(self, match, *commands):
         """Check that commands are refused; by default a force, a hold."""
-        for command in commands or (
-            lambda: self.loop.set_forces({'table': 5.0}),
-            lambda: self.loop.hold(True),
-        ):
+        for command in commands or (self.command_force, self.command_hold):
             with pytest.raises(CommandError, match=match):
                 command()
 
@@ -137,7 +149,7 @@ def test_loop_seeks_holds_and_releases_a_commanded_force_and_forgets_it_at_a_res
     bench.push = np.zeros(6)
     bench.loop.restart()
     bench.timing.restart()
-    np.testing.assert_array_equal(bench.step(effort=-EFFORT), -EFFORT)
+    assert_array_equal(bench.step(effort=-EFFORT), -EFFORT)
     assert bench.states['table'] == 'free'
 
 
@@ -147,8 +159,10 @@ def test_first_command_is_the_measured_effort_or_gravity_compensation(
     effort, supervised
 ):
     torque = Bench(supervised=supervised).step(effort=effort)
-    expected = EFFORT if effort is EFFORT else Bench().state.gravity
-    np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
+    expected = Bench().state.gravity
+    if effort is EFFORT:
+        expected = EFFORT
+    assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
 
 
 def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
@@ -156,20 +170,18 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     make_contact(bench)
     before = bench.step()
     known = bench.loop.supervisor.controller.laws['observer'].copy()
-    config = still_config(
-        force={'time_constant': 0.05}, motion={'natural_frequency': 15.0}
-    )
+    force = {'time_constant': 0.05}
+    config = still_config(force=force, motion={'natural_frequency': 15.0})
     bench.loop.reconfigure(config)
     assert bench.loop.config is config
     new = bench.loop.supervisor.controller.laws['observer']
-    slower, faster = (
-        observers['design']['feedback'][:, 0] for observers in (new, known)
-    )
-    assert known['x_est'][0].any() and (slower < faster).all()
+    gain = new['design']['feedback'][:, 0]
+    assert (gain < known['design']['feedback'][:, 0]).all()
+    assert known['x_est'][0].any()
     for name in ('x_est', 'P', 'running'):
-        np.testing.assert_array_equal(known[name], new[name])
-    after = [bench.step() for _ in range(200)]
-    np.testing.assert_array_equal(after[0], before)
+        assert_array_equal(known[name], new[name])
+    assert_array_equal(bench.step(), before)
+    bench.step(200)
     assert bench.states['table'] == 'holding'
     with pytest.raises(ConfigError, match='^rate: .*cannot change'):
         bench.loop.reconfigure(still_config(rate=400.0))
@@ -199,9 +211,8 @@ def test_push_test_without_pushes_can_be_cancelled(required, ticks):
         bench.loop.push_test(config)
         bench.step(ticks)
         bench.assert_refused('~/push_test: pass it first')
-    assert ('repeat it, or cancel it' in bench.loop.push_gate.instruction) is (
-        ticks == 600
-    )
+    ended = 'repeat it, or cancel it' in bench.loop.push_gate.instruction
+    assert ended is (ticks == 600)
     text = bench.loop.cancel_push_test()
     assert (text == 'push test cancelled') is not required
     bench.step(5)
@@ -226,65 +237,87 @@ def test_push_test_with_a_verdict_on_the_sensor_cannot_be_cancelled():
     'kind', ['gravity_compensation', 'zero_torque', 'hold_position']
 )
 def test_stop_leads_from_the_last_command_to_the_declared_behaviour(kind, supervised):
-    """A joint that is pushed away is braked, and pulled back if the posture is held."""
     bench = Bench(
         supervised=supervised, safe_behaviour=kind, transition={'blend_time': 0.05}
     )
     last = bench.step(effort=EFFORT)
-    torques = [bench.loop.stop(), *(bench.step() for _ in range(400))]
-    np.testing.assert_array_equal(torques[0], last)
+    torques = [bench.loop.stop()]
+    for _ in range(400):
+        torques.append(bench.step())
+    assert_array_equal(torques[0], last)
     rate = bench.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * H * (1.0 + 1e-9)
-    zero = kind == 'zero_torque'
-    np.testing.assert_allclose(
-        torques[-1], 0.0 if zero else bench.state.gravity, atol=1e-9
-    )
-    if not supervised:  # which takes no velocity from a change of the position
-        sixth = np.eye(6)[5]
-        assert (bench.step(q=HOME + 0.05 * sixth)[5] < -0.1) == (
-            kind == 'hold_position'
-        )
-        assert (bench.step(qd=sixth)[5] < -0.1) != zero
+    expected = bench.state.gravity
+    if kind == 'zero_torque':
+        expected = np.zeros(6)
+    assert_allclose(torques[-1], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'held', 'braked'),
+    [
+        ('gravity_compensation', False, True),
+        ('zero_torque', False, False),
+        ('hold_position', True, True),
+    ],
+)
+def test_stopped_joint_that_is_pushed_is_braked_and_pulled_back_as_declared(
+    kind, held, braked
+):
+    """Without a supervisor, which takes no velocity from a change of the position."""
+    bench = Bench(supervised=False, safe_behaviour=kind)
+    bench.step(effort=EFFORT)
+    bench.loop.stop()
+    bench.step(400)
+    sixth = np.eye(6)[5]
+    assert (bench.step(q=HOME + 0.05 * sixth)[5] < -0.1) == held
+    assert (bench.step(qd=sixth)[5] < -0.1) == braked
 
 
 def put(source, **values):
     """Return a step whose sample has other values in one reading."""
-    return lambda bench: bench.step(
-        change=lambda inputs: inputs._replace(
-            **{source: getattr(inputs, source)._replace(**values)}
-        )
-    )
+
+    def change(inputs):
+        reading = getattr(inputs, source)._replace(**values)
+        return inputs._replace(**{source: reading})
+
+    return partial(Bench.step, change=change)
+
+
+def leave_out_variance(inputs):
+    return inputs._replace(variance=None)
+
+
+class Fault(NamedTuple):
+    """What is wrong with samples, and the reaction once some ticks have been bridged."""
+
+    step: Callable
+    reaction: str
+    cause: str
+    bridged: int = 0
 
 
 FAULTS = {
-    'no sample': (Bench.step_without, 'float', 'joints_stale', 0),
-    'no joints': (
-        lambda bench: bench.step_half(joints=False),
-        'float',
-        'joints_stale',
-        1,
+    'no sample': Fault(Bench.step_without, 'float', 'joints_stale'),
+    'no joints': Fault(
+        partial(Bench.step_half, joints=False), 'float', 'joints_stale', 1
     ),
-    'no wrench': (Bench.step_half, 'hold', 'wrench_stale', 12),
-    'no variance': (
-        lambda bench: bench.step(change=lambda inputs: inputs._replace(variance=None)),
-        'inflate',
-        'variance_stale',
-        3,
+    'no wrench': Fault(Bench.step_half, 'hold', 'wrench_stale', 12),
+    'no variance': Fault(
+        partial(Bench.step, change=leave_out_variance), 'inflate', 'variance_stale', 3
     ),
-    'joints NaN': (put('joints', q=np.full(6, np.nan)), 'float', 'joints_invalid', 1),
-    'wrench NaN': (
-        put('wrench', wrench=np.full(6, np.nan)),
-        'hold',
-        'wrench_invalid',
-        12,
+    'joints NaN': Fault(
+        put('joints', q=np.full(6, np.nan)), 'float', 'joints_invalid', 1
     ),
-    'wrench saturated': (
-        put('wrench', wrench=100.0 * np.eye(6)[0]),
-        'hold',
-        'wrench_saturated',
-        1,
+    'wrench NaN': Fault(
+        put('wrench', wrench=np.full(6, np.nan)), 'hold', 'wrench_invalid', 12
     ),
-    'wrench frozen': (put('wrench', wrench=np.ones(6)), 'hold', 'wrench_frozen', 3),
+    'wrench saturated': Fault(
+        put('wrench', wrench=100.0 * np.eye(6)[0]), 'hold', 'wrench_saturated', 1
+    ),
+    'wrench frozen': Fault(
+        put('wrench', wrench=np.ones(6)), 'hold', 'wrench_frozen', 3
+    ),
 }
 
 
@@ -302,10 +335,12 @@ def test_fault_is_bridged_and_reacted_to_and_recovery_has_no_jump(fault):
     assert {*reactions[:bridged]} <= {'none', 'inflate'}
     assert reactions[bridged:] == [reaction] * 29
     assert cause in bench.loop.status.causes
-    torques += [bench.step() for _ in range(100)]
+    for _ in range(100):
+        torques.append(bench.step())
     assert bench.reaction == 'none'
     limit = np.array(bench.config.torque_limit)
-    assert (np.abs(np.diff(torques, axis=0)) / limit).max() < 0.03
+    changes = np.abs(np.diff(torques, axis=0)) / limit
+    assert changes.max() < 0.03
 
 
 NUMBERS = st.lists(st.one_of(st.floats(), st.floats(-10, 10)), max_size=7) | st.lists(
@@ -336,7 +371,9 @@ def test_loop_commands_finite_torques_within_limits_for_any_input(
     q, qd, force, kept, cases, warm
 ):
     """Singular postures, beyond the stops, faster than allowed; readings of any numbers."""
-    loop, config, torques = FUZZED.loop, FUZZED.config, []
+    loop = FUZZED.loop
+    limits = FUZZED.config.limits
+    torques = []
     loop.restart()
     for k, case in enumerate([None] * warm + cases + [None] * 3):
         time = k * H
@@ -347,12 +384,9 @@ def test_loop_commands_finite_torques_within_limits_for_any_input(
             VarianceInput(time - H, np.full(2, 0.6)),
         )
         if case is not None:  # some parts are right
-            inputs = TickInputs(
-                *(
-                    good if kept >> i & 1 else bad
-                    for i, (good, bad) in enumerate(zip(inputs, case))
-                )
-            )
+            for i, name in enumerate(('time', 'joints', 'wrench', 'variance')):
+                if not kept >> i & 1:
+                    inputs = inputs._replace(**{name: getattr(case, name)})
         torques.append(loop.step(inputs))
         output = loop.output
         for values in (
@@ -364,8 +398,8 @@ def test_loop_commands_finite_torques_within_limits_for_any_input(
         ):
             assert np.isfinite(values).all()
     assert np.isfinite(torques).all()
-    assert (np.abs(torques) <= config.torque_limit).all()
-    steps = np.array(config.limits.torque_rate) * H
+    assert (np.abs(torques) <= FUZZED.config.torque_limit).all()
+    steps = np.array(limits.torque_rate) * H
     assert (np.abs(np.diff(torques, axis=0)) <= steps * (1.0 + 1e-9)).all()
 
 
@@ -377,13 +411,12 @@ def test_events_are_at_the_time_of_their_samples_when_a_simulator_has_paused():
         bench.step_without()
     bench.step(500)
     assert bench.loop.time == pytest.approx((bench.k - 1 + 500) * H, abs=2 * H)
-    events = [
-        (round(time / H), what.split(' ')[0]) for time, what in bench.loop.events.events
-    ]
-    reacting = [(tick, reaction) for tick, reaction in events if reaction != 'none']
-    assert reacting[0][0] == paused - 1  # of the last sample before the pause
-    tick, reaction = events[-1]
-    assert reaction == 'none' and paused < tick < bench.k
+    events = bench.loop.events.events
+    begin = next(time for time, what in events if not what.startswith('none'))
+    assert round(begin / H) == paused - 1  # of the last sample before the pause
+    end, what = events[-1]
+    assert what.startswith('none')
+    assert paused < round(end / H) < bench.k
 
 
 def test_no_tick_compiles_anything():
@@ -391,9 +424,9 @@ def test_no_tick_compiles_anything():
     bench = Bench()
     before = count_compilations()
     make_contact(bench)
-    for step, *_ in FAULTS.values():
+    for fault in FAULTS.values():
         for _ in range(20):
-            step(bench)
+            fault.step(bench)
         bench.step(60)
     bench.loop.hold(True)
     bench.step(5)
@@ -408,14 +441,17 @@ def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():
         return bench.loop.tare()
 
     bench.step(100)
-    np.testing.assert_allclose(tare(), 0.0, atol=0.02)
+    assert_allclose(tare(), 0.0, atol=0.02)
     speed = -0.03 * np.eye(6)[2]  # what slows the tool down would be taken for bias
     for k in range(100):
         bench.step(q=HOME + H * k * speed, qd=speed)
     bench.assert_refused('joint speeds: expected at most 0.02 rad/s', tare)
     bench.step(100)
-    [bench.step_half() for _ in range(100)]
-    with pytest.raises(CalibrationError, match='expected at least 25 readings, got 0'):
+    for _ in range(100):
+        bench.step_half()
+    bench.assert_refused('got stale', tare)
+    bench.step(10)
+    with pytest.raises(CalibrationError, match='expected at least 25 readings'):
         tare()
     bench.step(30, wrench=bench.wrench())
     bench.assert_refused('got frozen', tare)
@@ -443,12 +479,14 @@ def test_pull_of_a_surface_is_held_against_and_latched_until_a_retry():
     """As a sensor with the wrong sign reads a contact."""
     bench = Bench()
     bench.step(5)
-    bench.push[:3] = np.array([0.0, 0.0, 12.0]) @ bench.state.sensor_pose.rotation_world
+    pull = np.array([0.0, 0.0, 12.0])
+    bench.push[:3] = pull @ bench.state.sensor_pose.rotation_world
     bench.step(1200)
     assert bench.reaction == 'hold'
     bench.push = np.zeros(6)
     bench.step(100)
-    assert (bench.reaction, bench.loop.status.causes) == ('hold', ('latched',))
+    assert bench.reaction == 'hold'
+    assert bench.loop.status.causes == ('latched',)
     bench.loop.retry()
     bench.step(100)
     assert bench.reaction == 'none'
@@ -476,9 +514,8 @@ def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
     used = bench.loop.supervisor.controller.contacts['noise_variance']
 
     def change(inputs):
-        return inputs._replace(
-            variance=VarianceInput(inputs.time, np.array([0.01, 1e4]))
-        )
+        variance = VarianceInput(inputs.time, np.array([0.01, 1e4]))
+        return inputs._replace(variance=variance)
 
     bench.step(3, change=change)
     assert used.tolist() == [0.5, 50.0]
@@ -508,13 +545,15 @@ def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
 
     monkeypatch.setattr(owner, name, broken)
     bench.step()
-    assert bench.loop.status.causes == (cause,) and bench.reaction == reaction
+    assert bench.loop.status.causes == (cause,)
+    assert bench.reaction == reaction
     bench.step(20)
     text = 'ZeroDivisionError: the mass of nothing'
     assert text in bench.loop.supervisor.findings
     (record,) = caplog.records
     assert record.getMessage() == f'{cause}: {text}'
-    assert 'in broken' in caplog.text and 'Traceback' in caplog.text
+    assert 'in broken' in caplog.text
+    assert 'Traceback' in caplog.text
 
 
 def test_law_that_has_no_answer_says_why_in_the_findings(caplog):

@@ -2,7 +2,7 @@
 
 import json
 
-import numpy as np
+from numpy.testing import assert_allclose
 from pins import (
     differences,
     FILE,
@@ -25,7 +25,7 @@ def test_trajectory_is_pinned(name):
     pinned = PINNED['trajectories'][name]
     now = trajectory(name)
     if pinned['sha256'] != now['sha256']:
-        np.testing.assert_allclose(
+        assert_allclose(
             now['torque_share'], pinned['torque_share'], rtol=0.0, atol=1e-6
         )
 

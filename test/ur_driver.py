@@ -25,8 +25,7 @@ home = yaml.safe_load(Path(sys.argv[1]).read_text())['home']
 settings = yaml.safe_load(Path(sys.argv[2]).read_text())['/**']['ros__parameters']
 robot = settings['robot']
 point = settings['contacts']['table']['point_operational']
-down = [0.0, 0.0, -1.0]
-arm = Arm(robot['urdf'], robot['armature'], down, 0.007, 6000.0, home, 'tip')
+arm = Arm(robot['urdf'], robot['armature'], home)
 rclpy.init()
 node = rclpy.create_node('ur_driver')
 commands = []

@@ -232,8 +232,11 @@ def view(
     starts_graph = not page.graph and recording is None
     setup = chosen.setup(nodes=starts_graph)
     # Only now: bad input is refused before viser is loaded.
-    from multicontact_control.view.run import run_view
+    from multicontact_control.view.run import run_view, ViewSubject
 
-    ended = run_view(setup, typer.echo, **vars(page), **vars(place))
+    subject = ViewSubject(setup, recording, page.graph, **vars(place))
+    ended = run_view(
+        subject, typer.echo, port=page.port, open_browser=page.open_browser
+    )
     if ended:
         raise RunError(ended)

@@ -116,9 +116,11 @@ def study(
     """
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
+    from multicontact_control.judging.run_folders import RUNS_FOLDER
     from multicontact_control.study import config as files
     from multicontact_control.study.presets import make_study
-    from multicontact_control.study.study import run_study
+    from multicontact_control.study.study import run_study, show_plan
+    from rich.console import Console
 
     texts = list(chosen.settings or ())
     if chosen.plants:
@@ -143,6 +145,19 @@ def study(
         {**shortened, **choices},
         robot=robot,
     )
-    results = run_study(make_study(selected), **vars(execution))
-    if config.truth == 'safe' and results and not results.frame[config.truth].all():
+    planned = make_study(selected)
+    folder = execution.out or RUNS_FOLDER / planned.config.name
+    console = Console(highlight=False)
+    if execution.dry_run:
+        show_plan(planned, folder, console)
+        return
+    results = run_study(
+        planned,
+        folder,
+        console,
+        jobs=execution.jobs,
+        dask=execution.dask,
+        overwrite=execution.overwrite,
+    )
+    if config.truth == 'safe' and not results.frame[config.truth].all():
         raise typer.Exit(options.EXIT_FAILED)

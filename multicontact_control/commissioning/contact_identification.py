@@ -32,9 +32,7 @@ from scipy.stats import linregress, median_abs_deviation
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
 LONGEST_DELAY = 0.02  # s
 DELAY_STEP = 1e-4  # s, in which the delay is looked for
-PARABOLA_STEPS = (
-    5  # of the delay to either side of the best, that its error is taken from
-)
+PARABOLA_STEPS = 5  # of the delay to either side of the best; its error is from them
 LEAST_SAMPLES = 50
 LEAST_STEP_GAP = 0.1  # s, between the accepted samples of two steps
 FIT_SIGNALS = ('way', 'rate', 'friction', 'force')  # of a `STIFFNESS_FIT`
@@ -51,7 +49,12 @@ NOISE_SCATTER = 6.6
 
 
 class ResultText(NamedTuple):
-    """How a result is shown."""
+    """
+    How an identified quantity is shown: what it is called, and its number.
+
+    The number is the value times `scale`, in the unit, with the given digits behind the point; its
+    standard error has the same ones.
+    """
 
     name: str
     unit: str
@@ -122,11 +125,10 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
             config.wrench_input,
         )
     signals = collect_signals(data, config, setup.urdf_dir)
-    contacts = {
-        name: _identify_contact(signal, config.period)
-        for name, signal in signals.items()
-    }
-    if all(contact['stiffness_n_m'] is None for contact in contacts.values()):
+    contacts = {}
+    for name, signal in signals.items():
+        contacts[name] = _identify_contact(signal, config.period)
+    if not any(contact['stiffness_n_m'] for contact in contacts.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
             'force steps on contacts that are felt, got none'
@@ -137,14 +139,20 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
 def collect_signals(
     data: RunData, config: ControllerConfig, base_dir: Path
 ) -> dict[str, ContactSignals]:
-    """Return the signals of every contact's normal force; `base_dir` is that of the URDF."""
+    """
+    Return the signals of every contact's normal force; `base_dir` is that of the URDF.
+
+    The controller's own model finds them from joints, wrench and torque of each sample, as it
+    would on-line. A sample that lacks one of these is NaN but for the desired force.
+    """
     names = config.column_names
     controller = Controller(config, RobotModel(config.robot, base_dir))
     contacts = controller.contacts
     frame = controller.controls[0]['frame']
     wrench = getattr(data, config.wrench_series)
     readings = np.hstack([data.q, data.qd, wrench, data.torque])
-    signals = np.full((data.ticks, len(ContactSignals._fields), len(names)), np.nan)
+    shape = (data.ticks, len(ContactSignals._fields), len(names))
+    signals = np.full(shape, np.nan)
     signals[:, 1] = np.nan_to_num(data.alpha_des)
     for k in np.flatnonzero(np.isfinite(readings).all(axis=1)):
         controller.take_sample(data.q[k], data.qd[k], wrench[k])
@@ -157,7 +165,10 @@ def collect_signals(
         for i in range(len(names)):
             signals[k, 4, i] = stiffness.friction_of_others(frame, contacts, i)
         signals[k, 5:] = _find_accelerations(controller, data.torque[k])
-    return {names[i]: ContactSignals(*signals[:, :, i].T) for i in config.force_columns}
+    by_contact = {}
+    for i in config.force_columns:
+        by_contact[names[i]] = ContactSignals(*signals[:, :, i].T)
+    return by_contact
 
 
 def _find_accelerations(controller: Controller, torque: Vector) -> Matrix:
@@ -211,12 +222,14 @@ def _fit_contact(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
     freedom = max(len(y) - count, 1)
     covariance = np.diag(np.linalg.inv(X.T @ X))
     variance = stiffness.CORRELATION * power / freedom * covariance
-    gaps = np.flatnonzero(np.diff(np.flatnonzero(accepted)) > LEAST_STEP_GAP / h)
+    distances = np.diff(np.flatnonzero(accepted))
+    gaps = np.flatnonzero(distances > LEAST_STEP_GAP / h)
     steps = np.split(np.arange(len(y)), gaps + 1)
     if len(steps) > 1:
-        without_step = [
-            solve(np.delete(X, step, axis=0), np.delete(y, step)) for step in steps
-        ]
+        without_step = []
+        for step in steps:
+            rows = np.delete(X, step, axis=0)
+            without_step.append(solve(rows, np.delete(y, step)))
         variance += (len(steps) - 1) * np.var(without_step, axis=0)
     else:
         variance += math.inf
@@ -264,7 +277,8 @@ def find_noise_at_rest(signal: ContactSignals) -> dict[str, float] | None:
     """
     quiet = (signal.motion < QUIET_SPEED) & (signal.alpha_des > 0.0)
     held = np.diff(signal.alpha_des) == 0.0
-    changes = np.diff(signal.alpha)[quiet[1:] & quiet[:-1] & held]
+    at_rest = quiet[1:] & quiet[:-1] & held
+    changes = np.diff(signal.alpha)[at_rest]
     if len(changes) < LEAST_SAMPLES:
         return None
     # Of differences, whatever a step has left in them.
@@ -286,11 +300,10 @@ def _find_delay(
     samples = samples[known]
     measured = measured[known]
     commands = np.flatnonzero(np.isfinite(signal.commanded))
+    commanded = signal.commanded[commands]
 
     def find_unexplained(delay: float) -> float:
-        shifted = np.interp(
-            samples * h - delay, commands * h, signal.commanded[commands]
-        )
+        shifted = np.interp(samples * h - delay, commands * h, commanded)
         return 1.0 - float(linregress(shifted, measured).rvalue ** 2)
 
     delays = np.arange(0.0, LONGEST_DELAY, DELAY_STEP)
@@ -300,14 +313,22 @@ def _find_delay(
     if not 0 < best < len(delays) - 1:
         return None
     near = slice(max(best - PARABOLA_STEPS, 0), best + PARABOLA_STEPS + 1)
-    curvature = np.polyfit(delays[near] - delays[best], residual[near], 2)[0]
+    offsets = delays[near] - delays[best]
+    curvature = np.polyfit(offsets, residual[near], 2)[0]
     variance = stiffness.CORRELATION * residual[best] / len(samples)
-    error = math.sqrt(variance / curvature) if curvature > 0.0 else math.inf
+    error = math.inf
+    if curvature > 0.0:
+        error = math.sqrt(variance / curvature)
     return {'value': float(delays[best]), 'std': error}
 
 
 def describe_contacts(contacts: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what `identify_contacts` found as lines of text."""
+    """
+    Return what `identify_contacts` found as lines of text.
+
+    Each contact has a line with its samples, and one for each quantity of `RESULT_TEXTS` with its
+    standard error; the last line says what the stiffness is of.
+    """
     lines = []
     for name, contact in contacts.items():
         line = f'{name}: {format_count(contact["samples"], "samples")}'

@@ -43,7 +43,12 @@ LEAST_GAIN_MARGIN = 2.0  # left on the stiffest surface
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins of a force loop, cut open at the input of P04 eq. 32."""
+    """
+    Margins of a force loop, cut open at the input of P04 eq. 32.
+
+    They tell how wrong the model of a surface may be before the loop oscillates; a margin is
+    infinite where nothing limits it.
+    """
 
     gain: float  # factor by which the loop's gain may grow
     phase: float  # that may be added [rad]
@@ -81,9 +86,11 @@ def closed_loop_matrix(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> 
     contact = replace(model, stiffness=ratio * model.stiffness)
     plant = contact.plant
     rows = _reading_matrix(contact)
-    from_plant = plant.Phi + np.outer(plant.Gamma, law.D[U, READINGS] @ rows)
+    fed_back = law.D[U, READINGS] @ rows
+    from_plant = plant.Phi + np.outer(plant.Gamma, fed_back)
     from_law = np.outer(plant.Gamma, law.C[U])
-    return np.block([[from_plant, from_law], [law.B[:, READINGS] @ rows, law.A]])
+    to_law = law.B[:, READINGS] @ rows
+    return np.block([[from_plant, from_law], [to_law, law.A]])
 
 
 def find_rise_time(law: LinearLaw, model: LoopModel) -> float:
@@ -115,14 +122,17 @@ def find_margins(law: LinearLaw, model: LoopModel) -> Margins:
         np.zeros((2, 1)),
         period,
     )
-    feedback = control.ss(
-        law.A, law.B[:, READINGS], law.C[[U]], law.D[[U]][:, READINGS], period
-    )
+    B = law.B[:, READINGS]
+    C = law.C[[U]]
+    D = law.D[[U]][:, READINGS]
+    feedback = control.ss(law.A, B, C, D, period)
     highest = math.pi / period
     frequencies = np.geomspace(LOWEST_FREQUENCY, highest, FREQUENCY_COUNT)
     response = control.frequency_response(-1.0 * feedback * plant, frequencies)
     gain, degrees, _, _, crossover, _ = control.stability_margins(response)
-    phase = math.radians(degrees) if np.isfinite(degrees) else math.inf
+    phase = math.inf
+    if np.isfinite(degrees):
+        phase = math.radians(degrees)
     if not np.isfinite(crossover):
         return Margins(float(gain), phase, math.inf, 0.0)
     crossover = float(crossover)
@@ -140,8 +150,9 @@ def find_stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
 
     softer = find_last_stable(is_stable_softer, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
     largest = find_last_stable(is_stable, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
-    smallest = 1.0 / softer if softer else math.inf
-    return smallest, largest
+    if not softer:
+        return math.inf, largest
+    return 1.0 / softer, largest
 
 
 def _scale_gains(
@@ -164,7 +175,12 @@ def _scale_gains(
 
 @dataclass(frozen=True)
 class DesignedLaw:
-    """Gains of a force law for a range of surfaces, and what they lead to."""
+    """
+    Gains of a force law for a range of surfaces, and what they lead to.
+
+    What a user decides by: how long a step takes on either end of the range, and what margins are
+    left on the stiffest surface, where a loop is nearest to oscillating.
+    """
 
     # Of `force` in a controller's configuration, beside the defaults.
     values: dict[str, Any]
@@ -236,12 +252,13 @@ def design_for_range(
             continue  # before the frequency response, which takes ten times as long
         margins = find_margins(law, stiffest_model)
         if margins.delay >= period:
+            softest_model = replace(model, stiffness=softest)
             return DesignedLaw(
                 {**given, 'input_delay': input_delay, **values},
                 model.stiffness,
                 margins,
                 largest,
-                find_rise_time(law, replace(model, stiffness=softest)),
+                find_rise_time(law, softest_model),
                 find_rise_time(law, stiffest_model),
             )
     raise ConfigError(
@@ -253,7 +270,12 @@ def design_for_range(
 
 
 def describe_design(design: DesignedLaw) -> str:
-    """Return gains and margins as a few lines of text."""
+    """
+    Return gains and margins as a few lines of text.
+
+    The gains come first, as YAML that can be copied into a controller's parameter file below
+    `force`; then the model's stiffness, the margins and the rise times.
+    """
     margins = design.margins
     gains = yaml.safe_dump({'force': design.values}, sort_keys=False).rstrip()
     stiffest = _describe_time(design.rise_stiffest)
@@ -283,7 +305,12 @@ def _describe_model(design: DesignedLaw) -> str:
 
 
 def write_design(design: DesignedLaw, path: Path) -> None:
-    """Write gains as a parameter file, as `--preset` takes it."""
+    """
+    Write gains as a parameter file, as `--preset` takes it.
+
+    Only `force` is in it. The stiffness of the model belongs to the contacts, and so to another
+    file: a comment at the head names it.
+    """
     write_preset(
         {'controller': {'force': design.values}},
         path,
@@ -305,8 +332,7 @@ def write_preset(sections: Mapping[str, Any], path: Path, comment: str) -> None:
         A line at its head that says what it is.
 
     """
-    write_parameters(
-        path,
-        {PARAMETER_FILE_NODES[name]: values for name, values in sections.items()},
-        f'# {comment}\n',
-    )
+    by_node = {}
+    for name, values in sections.items():
+        by_node[PARAMETER_FILE_NODES[name]] = values
+    write_parameters(path, by_node, f'# {comment}\n')

@@ -22,15 +22,15 @@ Tell = Callable[[str], None]  # shows a line to the user
 
 
 class SensedArm(NamedTuple):
-    """An arm with a wrist sensor: its controller's configuration, and its model."""
+    """
+    An arm with a wrist sensor: its controller's configuration, and its model.
+
+    The model turns joint angles into the sensor's orientation, on which the weight that it feels
+    depends.
+    """
 
     controller: ControllerConfig
     robot: RobotModel
-
-    @property
-    def gravity_world(self) -> Vector:
-        """Gravity, shape (3,) [m/s^2]."""
-        return np.array(self.controller.robot.gravity_world)
 
 
 def list_quiet_poses(
@@ -57,6 +57,7 @@ def list_quiet_poses(
 
     """
     names = arm.controller.robot.joint_names
+    gravity = np.array(arm.controller.robot.gravity_world)
     q = joints.values('position', names)
     readings = wrenches.values('wrench')
     if not np.isfinite(q).all():
@@ -74,13 +75,12 @@ def list_quiet_poses(
     for begin, end in find_rests(q_time, q):
         at_rest = (q_time >= begin) & (q_time <= end)
         felt = readings[(wrench_time >= begin) & (wrench_time <= end)]
-        state = arm.robot.update(
-            q[at_rest].mean(axis=0), np.zeros(arm.robot.joint_count)
-        )
+        angles = q[at_rest].mean(axis=0)
+        state = arm.robot.update(angles, np.zeros(arm.robot.joint_count))
         rotation = state.sensor_pose.rotation_world
         rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
         try:
-            reading = compute_tare_bias(felt, rotation, ToolConfig(), arm.gravity_world)
+            reading = compute_tare_bias(felt, rotation, ToolConfig(), gravity)
         except CalibrationError as error:
             tell(f'{rest} left out: {error}')
             continue

@@ -54,15 +54,17 @@ def identify_from_rests(
     poses: Sequence[tool.PoseReading], controller: ControllerConfig, lacking: str = ''
 ) -> tool.Identification:
     """
-    Identify a tool from rests.
+    Identify a tool from rests: its mass, its centre of mass and the sensor's bias.
 
     `lacking` says which poses gave no rest, and why; the CalibrationError for too few repeats it.
     """
     if len(poses) < tool.MIN_POSES:
-        reason = f'; {lacking}' if lacking else ''
+        found = str(len(poses))
+        if lacking:
+            found = f'{found}; {lacking}'
         raise CalibrationError(
             f'calibrate: expected at least {tool.MIN_POSES} quiet rests of '
-            f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}{reason}'
+            f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {found}'
         )
     return tool.identify_tool(poses, np.array(controller.robot.gravity_world))
 
@@ -291,11 +293,16 @@ def find_clearing_way(
     The surfaces are taken to begin where the contacts are at the orientation `home`; it is zero
     without contacts.
     """
-    contacts = [controller.contacts[name] for name in controller.contact_names]
-    if not contacts:
+    if not controller.contact_names:
         return np.zeros(3)
-    corners = np.concatenate([_list_corners(contact, home) for contact in contacts])
-    normals = np.array([contact.normal_world for contact in contacts])
+    corners_of_contacts = []
+    normals_of_contacts = []
+    for name in controller.contact_names:
+        contact = controller.contacts[name]
+        corners_of_contacts.append(_list_corners(contact, home))
+        normals_of_contacts.append(contact.normal_world)
+    corners = np.concatenate(corners_of_contacts)
+    normals = np.array(normals_of_contacts)
     depths = [(tilt.apply(corners) - corners) @ normals.T for tilt in tilts]
     deepest = np.maximum(np.max(depths, axis=(0, 1)), 0.0)
     way: Vector = np.linalg.lstsq(normals, -(deepest + CLEARANCE), rcond=None)[0]
@@ -310,16 +317,10 @@ def _list_corners(contact: ContactConfig, home: Rotation) -> Matrix:
     across = contact.half_width * np.cross(contact.normal_world, direction)
     if contact.type == 'point':
         return np.array([point])
+    edge = np.array([point + along, point - along])
     if contact.type == 'edge':
-        return np.array([point + along, point - along])
-    return np.array(
-        [
-            point + along + across,
-            point + along - across,
-            point - along + across,
-            point - along - across,
-        ]
-    )
+        return edge
+    return np.concatenate([edge + across, edge - across])
 
 
 def _move_into_workspace(controller: ControllerConfig, position: Vector) -> Vector:
@@ -348,7 +349,9 @@ def _await_control(client: Any) -> None:
         if tared and status is not None and status.reaction in (NONE, INFLATE):
             return
         if time.monotonic() > give_up:
-            text = 'no status' if status is None else status.text
+            text = 'no status'
+            if status is not None:
+                text = status.text
             raise RunError(
                 'calibrate: expected control to begin once the weight is tared away, '
                 f'got {text}'
@@ -378,15 +381,19 @@ def _turn_tool(client: Any, position: Vector, duration: float, pose: Rotation) -
 
 
 def describe_tool(result: tool.Identification) -> list[str]:
-    """Return what was identified, with the standard errors, in lines of text."""
-    centre = ', '.join(
-        f'{1e3 * value:.2f} +- {1e3 * error:.2f}'
-        for value, error in zip(result.com_sensor, result.com_std)
-    )
+    """
+    Return what was identified, with the standard errors, in lines of text.
+
+    Centre of mass and bias are in the sensor's axes, the centre in mm. The last line tells how
+    well the poses determine the tool, and what they leave unexplained.
+    """
+    centre = []
+    for value, error in zip(result.com_sensor, result.com_std):
+        centre.append(f'{1e3 * value:.2f} +- {1e3 * error:.2f}')
     bias = [f'{value:.4f}' for value in result.bias_sensor]
     return [
         f'mass: {result.mass:.4f} +- {result.mass_std:.4f} kg',
-        f'centre of mass: {centre} mm',
+        f'centre of mass: {", ".join(centre)} mm',
         f'bias: {", ".join(bias[:3])} N, {", ".join(bias[3:])} N m',
         f'{result.poses} poses, condition {result.condition:.3g}, residual '
         f'{result.force_residual:.3g} N and {result.torque_residual:.3g} N m rms',
@@ -394,14 +401,17 @@ def describe_tool(result: tool.Identification) -> list[str]:
 
 
 def write_tool(folder: Path, result: tool.Identification) -> Path:
-    """Write a tool as a parameter file to lay over the controller's, and return it."""
+    """
+    Write a tool as a parameter file to lay over the controller's, and return its path.
+
+    The file is `tool.yaml` in the folder, which is made if it does not exist; comments at its head
+    have the standard errors.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
     lines = describe_tool(result)
     lines.append('Give it to the controller after its own parameter file.')
-    write_parameters(
-        path,
-        {'/**': {'tool': result.tool().model_dump(mode='json')}},
-        ''.join(f'# {line}\n' for line in lines),
-    )
+    head = ''.join(f'# {line}\n' for line in lines)
+    values = result.tool().model_dump(mode='json')
+    write_parameters(path, {'/**': {'tool': values}}, head)
     return path

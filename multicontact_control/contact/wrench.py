@@ -75,10 +75,11 @@ def operational_wrench(control: Control, wrench: Vector) -> None:
     """
     Fill in the wrench the robot exerts on the environment, at the operational point.
 
-    The sensor reads m (a - g) + f_c + bias. Bias and weight of the tool are taken off, its inertia
-    m a is left in: 0.05 N with the paper's tool and motion on rigid drives, and up to 1 N where
-    flexible ones let the tool swing. `control` is a record of `CONTROL` with the reading in it,
-    `wrench` is filled with f_c, world axes, shape (6,) [N, N m].
+    The sensor reads m (a - g) + f_c + bias. The bias is subtracted; the weight m g is added, since
+    it is in the reading with the opposite sign. The tool's inertia m a is left in: 0.05 N with the
+    paper's tool and motion on rigid drives, and up to 1 N where flexible ones let the tool swing.
+    `control` is a record of `CONTROL` with the reading in it, `wrench` is filled with f_c, world
+    axes, shape (6,) [N, N m].
     """
     frame, tool, reading = control.frame, control.tool, control.wrench
     rotation, weight, bias = frame.sensor_rotation, tool.weight, tool.bias

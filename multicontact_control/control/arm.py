@@ -22,8 +22,8 @@ from multicontact_control.contact.wrench import (
     operational_wrench,
 )
 from multicontact_control.dynamics.operational_space import (
+    compute_mobility_and_inertia,
     InertiaSpace,
-    mobility_and_inertia,
 )
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
@@ -288,7 +288,7 @@ def fill_wrench_of_residual(
     n = joints.shape[0]
     inertia = space.inertia
     rotation = control.frame.sensor_rotation
-    damping, _ = mobility_and_inertia(
+    damping, _ = compute_mobility_and_inertia(
         mass_matrix, jacobian, control.law.singular_mobility, inertia
     )
     if damping < 0.0:

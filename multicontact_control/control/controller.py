@@ -115,7 +115,7 @@ class Controller:
     """
     Multi-contact compliant motion control of one arm (P04 sec. 3-4).
 
-    F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
+    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
     It holds the records that `tick` works on. The law alone, of a task in `controls` and
     `contacts`, is `take_sample` and `answer`. `start` comes before the first answer of either.

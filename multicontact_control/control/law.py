@@ -20,8 +20,8 @@ from multicontact_control.contact.projections import (
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
+    compute_mobility_and_inertia,
     InertiaSpace,
-    mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector_between
 from multicontact_control.flags import (
@@ -263,7 +263,7 @@ def control_law(
     n = joints.shape[0]
     count = contacts.shape[0]
     inertia = space.inertia
-    damping, frame.mobility = mobility_and_inertia(
+    damping, frame.mobility = compute_mobility_and_inertia(
         mass_matrix, jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:

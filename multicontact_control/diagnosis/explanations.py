@@ -131,7 +131,7 @@ class Explanations:
             return ''
         force = self._wrench()[:3]
         gravity = np.array(self._controller.config.robot.gravity_world)
-        shares = self._controller.robot.gravity_shares(arm.q.copy(), tool)
+        shares = self._controller.robot.compute_gravity_shares(arm.q.copy(), tool)
         return explain_gravity(self._joints, shares, force, tool.mass, gravity)
 
     @property

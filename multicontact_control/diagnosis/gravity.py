@@ -34,7 +34,7 @@ def explain_gravity(
     joints
         Records of `JOINT`, shape (n,).
     shares
-        Of `RobotModel.gravity_shares`, shape (n, 3) [kg m].
+        Of `RobotModel.compute_gravity_shares`, shape (n, 3) [kg m].
     force_world
         What the sensor reads without the tool's weight, world axes, shape (3,) [N].
     mass

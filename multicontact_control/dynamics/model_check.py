@@ -32,53 +32,96 @@ INERTIA_UNITS = ((2e3, 'g mm^2'), (50.0, 'kg mm^2'), (0.0, 'g m^2 or kg cm^2'))
 
 
 class Finding(NamedTuple):
-    """A figure of a URDF that is impossible, or suspicious."""
+    """
+    A figure of a URDF that is impossible, or suspicious.
 
-    refused: bool  # whether it is impossible
-    element: str  # of the URDF
+    Attributes
+    ----------
+    impossible
+        Whether the arm is refused for it; otherwise it is a warning.
+    element
+        Element of the URDF: the name of joint or links, a dot, and what the figure is.
+    expected, got
+        What the figure should be, and what it is.
+
+    """
+
+    impossible: bool
+    element: str
     expected: str
     got: object
 
 
 @dataclass(frozen=True)
 class Body:
-    """The links that one joint carries, joined."""
+    """
+    The links that one joint carries, joined.
+
+    Attributes
+    ----------
+    name
+        Names of the links, joined by plus signs.
+    length
+        Distance from the joint to the next, or to the farthest frame of the links [m].
+    mass, least_mass
+        Mass of all links together, and of the lightest single one [kg].
+    com
+        Centre of mass, from the joint in its frame, shape (3,) [m].
+    inertia
+        Inertia about the centre of mass, shape (3, 3) [kg m^2].
+
+    """
 
     name: str
-    length: float  # [m]
-    mass: float  # of all links together [kg]
-    least_mass: float  # of a single link [kg]
-    com: Vector  # centre of mass, from the joint, shape (3,) [m]
-    inertia: Matrix  # about the centre of mass, shape (3, 3) [kg m^2]
+    length: float
+    mass: float
+    least_mass: float
+    com: Vector
+    inertia: Matrix
 
 
 @dataclass(frozen=True)
 class JointLoad:
-    """What a joint has to carry, and what its motor can."""
+    """
+    What a joint has to carry, and what its motor can.
+
+    Attributes
+    ----------
+    name
+        Name of the joint.
+    gravity
+        Largest torque of gravity in many postures [N m].
+    inertia
+        Least inertia about the axis in many postures [kg m^2].
+    limit
+        Largest torque of the motor, infinite if none is known [N m].
+
+    """
 
     name: str
-    gravity: float  # largest torque of gravity in many postures [N m]
-    inertia: float  # least inertia about the axis in many postures [kg m^2]
-    limit: float  # of the torque; infinite if there is none [N m]
+    gravity: float
+    inertia: float
+    limit: float
 
 
 def collect_warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
     """
-    Return the suspicious findings, a line each.
+    Return the suspicious findings as warnings, a line each; equal lines appear once.
 
     Raises
     ------
     ConfigError
-        With all findings, if one of them is refused.
+        With all findings, the suspicious ones too, if one of them is impossible.
 
     """
     errors = []
-    refused = False
+    is_refused = False
     for finding in findings:
         field = f'robot.urdf.{finding.element}'
         errors.append(ConfigError(field, finding.expected, finding.got))
-        refused = refused or finding.refused
-    if refused:
+        if finding.impossible:
+            is_refused = True
+    if is_refused:
         raise ConfigError.combine(errors)
     return tuple(dict.fromkeys(map(str, errors)))
 
@@ -86,8 +129,22 @@ def collect_warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
 def check_joint(
     name: str, axis: Vector, lower: float, upper: float
 ) -> Iterator[Finding]:
-    """Yield defects of a joint's axis, shape (3,), and of its range [rad]."""
-    if not abs(float(np.linalg.norm(axis)) - 1.0) <= 1e-3:
+    """
+    Yield defects of a joint's axis and range.
+
+    Parameters
+    ----------
+    name
+        Name of the joint.
+    axis
+        Axis of the joint, shape (3,), of length 1 as it should be; NaN is a defect too.
+    lower, upper
+        Ends of the range [rad]; a range far wider than turns are is taken for one without ends,
+        one of some hundreds for degrees.
+
+    """
+    length = float(np.linalg.norm(axis))
+    if not abs(length - 1.0) <= 1e-3:
         yield Finding(True, f'{name}.axis', 'an axis of length 1', axis)
     if not lower < upper:
         yield Finding(
@@ -103,12 +160,20 @@ def check_joint(
 
 
 def check_body(body: Body) -> Iterator[Finding]:
-    """Yield defects of a body's mass, centre of mass and inertia."""
+    """
+    Yield defects of a body's mass, centre of mass and inertia.
+
+    Without a mass above 0 the other figures say nothing, and are not looked at. A body counts as
+    heavy if it outweighs a cube of osmium of its length.
+    """
     if body.mass <= 0.0 or body.least_mass < -1e-9:
-        least = min(body.mass, body.least_mass)
-        yield Finding(True, f'{body.name}.mass', 'a mass > 0 kg', least or 'none')
+        least: object = min(body.mass, body.least_mass)
+        if least == 0.0:
+            least = 'none'
+        yield Finding(True, f'{body.name}.mass', 'a mass > 0 kg', least)
         return
-    if body.mass > DENSEST * max(body.length, 0.3) ** 3:
+    heaviest = DENSEST * max(body.length, 0.3) ** 3
+    if body.mass > heaviest:
         yield Finding(
             False,
             f'{body.name}.mass',
@@ -132,8 +197,8 @@ def _check_inertia(body: Body, length: float) -> Iterator[Finding]:
     moments = np.linalg.eigvalsh(body.inertia)
     smallest, middle, largest = moments
     rounding = 1e-4 * body.mass * length**2
-    unbalanced = largest > LARGEST_IMBALANCE * (smallest + middle) + rounding
-    if smallest < -rounding or unbalanced:
+    largest_balanced = LARGEST_IMBALANCE * (smallest + middle) + rounding
+    if smallest < -rounding or largest > largest_balanced:
         texts = [f'{moment:.3g}' for moment in moments]
         yield Finding(
             True,
@@ -141,21 +206,36 @@ def _check_inertia(body: Body, length: float) -> Iterator[Finding]:
             'principal moments > 0, none above the sum of the others',
             f'{", ".join(texts)} kg m^2',
         )
-    radius = math.sqrt(max(largest, 0.0) / max(body.mass, 0.01))
+    mass = max(body.mass, 0.01)
+    radius = math.sqrt(max(largest, 0.0) / mass)
     if radius > SUSPICIOUS_REACH * length:
-        likely_units = [
-            unit for lengths, unit in INERTIA_UNITS if radius > lengths * length
-        ]
+        unit = _guess_inertia_unit(radius / length)
         yield Finding(
             radius > IMPOSSIBLE_REACH * length,
             f'{body.name}.inertia',
             f'a radius of gyration within the link of {length:.3g} m',
-            f'{radius:.3g} m, of {largest:.3g} kg m^2 and {body.mass:.3g} kg: {likely_units[0]}?',
+            f'{radius:.3g} m, of {largest:.3g} kg m^2 and {body.mass:.3g} kg: {unit}?',
         )
 
 
+def _guess_inertia_unit(lengths: float) -> str:
+    """Return the unit that a radius of gyration of so many link lengths is likely to come from."""
+    likely_units = [unit for least, unit in INERTIA_UNITS if lengths > least]
+    return likely_units[0]
+
+
 def check_load(load: JointLoad, heaviest: str) -> Iterator[Finding]:
-    """Yield defects of a joint's inertia and torque limit; `heaviest` names the heaviest body."""
+    """
+    Yield defects of a joint's inertia and torque limit.
+
+    Parameters
+    ----------
+    load
+        What the joint has to carry.
+    heaviest
+        Mass and name of the heaviest body of the arm, which may explain too much gravity.
+
+    """
     name = load.name
     if load.inertia <= 1e-9:
         yield Finding(
@@ -169,8 +249,9 @@ def check_load(load: JointLoad, heaviest: str) -> Iterator[Finding]:
             False, f'{name}.effort', 'a torque limit > 0 N m, or torque_limit', 'none'
         )
     if load.gravity > load.limit:
-        far_beyond = load.gravity > 10.0 * load.limit
-        hint = ': masses in g, lengths in mm?' if far_beyond else ''
+        hint = ''
+        if load.gravity > 10.0 * load.limit:
+            hint = ': masses in g, lengths in mm?'
         yield Finding(
             load.gravity > OVERLOAD * load.limit,
             f'{name}.effort',

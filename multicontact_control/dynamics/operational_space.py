@@ -33,7 +33,7 @@ STOP_MARGIN = 0.1  # rad before its stop, within which a joint is pushed away fr
 
 
 class InertiaSpace(Record, Protocol):
-    """What `mobility_and_inertia` fills in; the first n rows and columns are used. One."""
+    """What `compute_mobility_and_inertia` fills in; the first n rows and columns are used. One."""
 
     L: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]  # M = L L^T, lower triangle
     Y: Annotated[Matrix, MAX_JOINTS, 6]  # L^-1 J^T
@@ -51,7 +51,7 @@ INERTIA_SPACE = record_dtype(InertiaSpace)
 
 
 @compiled
-def mobility_and_inertia(
+def compute_mobility_and_inertia(
     mass_matrix: Matrix,
     jacobian: Matrix,
     singular_mobility: float,
@@ -121,7 +121,7 @@ def mobility_and_inertia(
 
 
 @compiled
-def mobility_gradient(
+def compute_mobility_gradient(
     jacobian: Matrix,
     L: Matrix,
     Y: Matrix,
@@ -139,7 +139,19 @@ def mobility_gradient(
     d v_i / d q_k = w_k x v_i for k <= i, w_i x v_k for k > i, and d w_i / d q_k = w_k x w_i for
     k <= i, 0 for k > i.
 
-    J has shape (6, n), M = L L^T, Y = L^-1 J^T; `joint_rates`, shape (n,), is overwritten.
+    Parameters
+    ----------
+    jacobian
+        J, shape (6, n), linear rows first, world axes.
+    L, Y
+        Of M = L L^T and Y = L^-1 J^T: `InertiaSpace.L`, shape (n, n), and `.Y`, shape (n, 6).
+    direction
+        Unit eigenvector u, shape (6,).
+    joint_rates
+        Overwritten with M^-1 J^T u, shape (n,).
+    gradient
+        Filled in, shape (n,).
+
     """
     n = jacobian.shape[1]
     multiply_vector(Y, direction, joint_rates)
@@ -151,11 +163,12 @@ def mobility_gradient(
         for i in range(n):
             nearer = min(k, i)  # to the base
             farther = max(k, i)
-            change = cross(jacobian[3:, nearer], jacobian[:3, farther])
-            gradient[k] += 2.0 * joint_rates[i] * dot(linear, change)
+            twice_rate = 2.0 * joint_rates[i]
+            linear_change = cross(jacobian[3:, nearer], jacobian[:3, farther])
+            gradient[k] += twice_rate * dot(linear, linear_change)
             if k <= i:
-                change = cross(jacobian[3:, k], jacobian[3:, i])
-                gradient[k] += 2.0 * joint_rates[i] * dot(angular, change)
+                angular_change = cross(jacobian[3:, k], jacobian[3:, i])
+                gradient[k] += twice_rate * dot(angular, angular_change)
 
 
 @compiled
@@ -176,32 +189,46 @@ def add_nullspace_torque(
     from a stop at a distance x below the margin m. J M^-1 of what is added is 0, gravity and
     Coriolis' part aside.
 
-    The torque of `joints`, records of `JOINT`, shape (n,), is added to; d, k_q and k_s are in
-    `law`, a record of `LAW`, `inertia` is one of `INERTIA_SPACE`. `free`, `pull`, shape (n,), and
-    `acceleration`, shape (6,), are overwritten.
+    Parameters
+    ----------
+    joints
+        Records of `JOINT`, shape (n,), whose torque is added to.
+    mass_matrix, jacobian
+        M, shape (n, n), of which the upper triangle is read [kg m^2], and J, shape (6, n).
+    inertia
+        Record of `INERTIA_SPACE` that `compute_mobility_and_inertia` has filled in of these.
+    law
+        Record of `LAW`, which has d, k_q and k_s.
+    free, pull
+        Overwritten, shape (n,): the torque before its projection [N m], k_q (q_0 - q) + s.
+    acceleration
+        Overwritten, shape (6,): what that torque would give the operational point.
+
     """
     n = joints.shape[0]
     for j in range(n):
         joint = joints[j]
-        below = max(STOP_MARGIN - (joint.q - joint.config.lower), 0.0)
-        above = max(STOP_MARGIN - (joint.config.upper - joint.q), 0.0)
+        config = joint.config
+        below = max(STOP_MARGIN - (joint.q - config.lower), 0.0)
+        above = max(STOP_MARGIN - (config.upper - joint.q), 0.0)
         push_up = law.stop_stiffness * below * below / STOP_MARGIN
         push_down = law.stop_stiffness * above * above / STOP_MARGIN
         push = push_up - push_down
-        pull[j] = law.posture_stiffness * (joint.config.posture - joint.q) + push
+        pull[j] = law.posture_stiffness * (config.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0
         for j in range(n):
-            momentum += mass_matrix[min(i, j), max(i, j)] * joints[j].velocity
+            mass = mass_matrix[min(i, j), max(i, j)]
+            momentum += mass * joints[j].velocity
         free[i] = joints[i].bias_torque - law.nullspace_damping * momentum
         if law.posture_stiffness > 0.0:
             for j in range(n):
-                free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
+                mass = mass_matrix[min(i, j), max(i, j)]
+                free[i] += mass * pull[j]
         joints[i].answer.torque += free[i]
     solve_lower(inertia.L[:n, :n], free)
     multiply_vector(inertia.Y[:n].T, free, acceleration)
     for j in range(n):
         for i in range(6):
-            joints[j].answer.torque -= jacobian[i, j] * dot(
-                inertia.Lambda[i], acceleration
-            )
+            force = dot(inertia.Lambda[i], acceleration)
+            joints[j].answer.torque -= jacobian[i, j] * force

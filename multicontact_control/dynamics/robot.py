@@ -67,58 +67,59 @@ class RobotModel:
         If the URDF cannot be read, a joint or frame name does not match it, or the wrist sensor
         does not feel what the operational frame touches.
 
+    Attributes
+    ----------
+    terms
+        What `compute` has found last, in pinocchio's memory.
+    last_mass
+        Mass of the links that the last joint carries, as the URDF has it [kg].
+    turning
+        Whether each joint turns, and does not slide, shape (n,).
+
     """
 
     def __init__(self, config: RobotConfig, base_dir: Path = Path()) -> None:
         self._warnings: list[str] = []
         self._adds_gravity = config.adds_gravity
         self._model = load_model(base_dir / config.urdf, config.locked, self._warnings)
-        names = list(self._model.names)[1:]
-        if names != list(config.joint_names):
-            expected = f"the robot's joints {names}"
-            others = [name for name in names if name not in config.joint_names]
-            if others:
-                expected = f'{expected}, or {others} in robot.locked_joints'
-            raise ConfigError('robot.joint_names', expected, list(config.joint_names))
-        if len(names) > MAX_JOINTS:
-            raise ConfigError(
-                'robot.joint_names',
-                f'at most {MAX_JOINTS} joints',
-                len(names),
-                hint='lock others: robot.locked_joints',
-            )
+        _require_joints(_list_joints(self._model), list(config.joint_names))
         if config.armature:
             self._model.armature = np.array(config.armature)
         self._model.gravity.linear = np.array(config.gravity_world)
-        self._frame = self._frame_id(
+        self._frame = self._find_frame(
             'robot.operational_frame', config.operational_frame
         )
         self._sensor = self._frame
         if config.sensor_frame:
-            self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
-            self._require_felt(config)
+            self._sensor = self._find_frame('robot.sensor_frame', config.sensor_frame)
+            self._require_felt_contacts(config)
         self._mount = self._model.frames[self._sensor]
         self._body = pin.Inertia(self._model.inertias[self._mount.parentJoint])
         self.last_mass = float(self._body.mass)
         self._data = self._model.createData()
+        self.terms = self._view_terms()
+        kinds = [joint.shortname() for joint in self._model.joints[1:]]
+        self.turning: Mask = np.array(['ModelR' in kind for kind in kinds])
+
+    def _view_terms(self) -> Terms:
+        """Return pinocchio's memory as terms, so that nothing needs to be copied."""
         data = self._data
         frame = data.oMf[self._frame]
         sensor = data.oMf[self._sensor]
-        self.terms = Terms(  # pinocchio's memory, so that nothing needs to be copied
+        placements = (
+            frame.translation,
+            frame.rotation,
+            sensor.translation,
+            sensor.rotation,
+        )
+        return Terms(
             mass_matrix=data.M,
             bias_torque=data.nle,
             gravity=data.g,
             jacobian=np.zeros((6, self._model.nv)),
             jacobian_rate=np.zeros((6, self._model.nv)),
-            placements=(
-                frame.translation,
-                frame.rotation,
-                sensor.translation,
-                sensor.rotation,
-            ),
+            placements=placements,
         )
-        kinds = [joint.shortname() for joint in self._model.joints[1:]]
-        self.turning: Mask = np.array(['ModelR' in kind for kind in kinds])
 
     @property
     def joint_count(self) -> int:
@@ -131,17 +132,27 @@ class RobotModel:
         limit = np.array(self._model.effortLimit)
         return np.where(limit > 0.0, limit, np.inf)
 
-    def warnings(self, torque_limit: Sequence[float] = ()) -> tuple[str, ...]:
+    def list_warnings(self, torque_limit: Sequence[float] = ()) -> tuple[str, ...]:
         """
-        Return what is suspicious of the model, a line each; see `check_torques`.
+        Return what is suspicious of the model, a line each.
 
-        The torque limits, shape (n,) [N m], are those of the URDF if none are given. ConfigError
-        if the arm cannot be held with them.
+        Parameters
+        ----------
+        torque_limit
+            Largest torques, shape (n,) [N m]; those of the URDF if none are given.
+
+        Raises
+        ------
+        ConfigError
+            If the arm cannot be held with these torques; see `check_torques`.
+
         """
-        limit = np.array(torque_limit) if torque_limit else self.torque_limit
+        limit = self.torque_limit
+        if torque_limit:
+            limit = np.array(torque_limit)
         return (*self._warnings, *check_torques(self._model, limit, self._adds_gravity))
 
-    def _require_felt(self, config: RobotConfig) -> None:
+    def _require_felt_contacts(self, config: RobotConfig) -> None:
         """Refuse contacts that the wrist sensor cannot feel: those of a link before it."""
         model = self._model
         carrier = model.names[model.frames[self._frame].parentJoint]
@@ -154,16 +165,15 @@ class RobotModel:
                 f"'{config.operational_frame}', carried by {carrier}",
             )
 
-    def _frame_id(self, field: str, name: str) -> int:
+    def _find_frame(self, field: str, name: str) -> int:
         """Return pinocchio's number of a link; ConfigError of the field if there is none."""
-        bodies = [
-            frame.name
-            for frame in self._model.frames
-            if frame.type == pin.FrameType.BODY
-        ]
-        if name not in bodies:
+        links = []
+        for frame in self._model.frames:
+            if frame.type == pin.FrameType.BODY:
+                links.append(frame.name)
+        if name not in links:
             raise ConfigError(
-                field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'"
+                field, f'a link of the robot among {", ".join(links)}', f"'{name}'"
             )
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
@@ -189,9 +199,18 @@ class RobotModel:
 
     def update(self, q: Vector, v: Vector) -> RobotState:
         """
-        Return the arm's state at positions [rad] and velocities [rad/s], shape (n,).
+        Return the arm's state in arrays of its own, which later calls leave as they are.
 
-        Its arrays stay as they are; ShapeError for positions or velocities of another shape.
+        Parameters
+        ----------
+        q, v
+            Positions [rad] and velocities [rad/s], shape (n,).
+
+        Raises
+        ------
+        ShapeError
+            If positions or velocities are of another shape.
+
         """
         require_shape('q', q, (self._model.nv,))
         require_shape('v', v, (self._model.nv,))
@@ -206,28 +225,42 @@ class RobotModel:
             gravity=gravity,
             jacobian=jacobian,
             jacobian_drift=terms.jacobian_rate @ v,
-            pose=_pose(data.oMf[self._frame]),
+            pose=_copy_pose(data.oMf[self._frame]),
             twist_world=jacobian @ v,
             velocity=v.copy(),
-            sensor_pose=_pose(data.oMf[self._sensor]),
+            sensor_pose=_copy_pose(data.oMf[self._sensor]),
         )
 
     def compute_load_torque(self, load: ToolConfig) -> Vector:
         """Return what a load adds to g(q) where `compute` was called last, shape (n,) [N m]."""
         weight = load.mass * self._model.gravity.linear
-        lever = self._data.oMf[self._sensor].rotation @ np.array(load.com_sensor)
+        sensor = self._data.oMf[self._sensor]
+        lever = sensor.rotation @ np.array(load.com_sensor)
         jacobian = pin.getFrameJacobian(
             self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED
         )
-        torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
+        wrench = np.concatenate([weight, np.cross(lever, weight)])
+        torque: Vector = -jacobian.T @ wrench
         return torque
 
-    def gravity_shares(self, q: Vector, load: ToolConfig) -> Matrix:
+    def compute_gravity_shares(self, q: Vector, load: ToolConfig) -> Matrix:
         """
-        Return dg/d(gravity) of the arm without a load where `compute` was called last, at q [rad].
+        Return dg/d(gravity) of the arm without a load where `compute` was called last.
 
-        g(q) is linear in the vector of gravity: a column for each world axis, shape (n, 3)
-        [N m per m/s^2].
+        g(q) is linear in the vector of gravity, so that unit vectors of gravity give the columns.
+
+        Parameters
+        ----------
+        q
+            Positions of that call, shape (n,) [rad].
+        load
+            Load that the model carries.
+
+        Returns
+        -------
+        Matrix
+            A column for each world axis, shape (n, 3) [N m per m/s^2].
+
         """
         model = self._model
         data = model.createData()
@@ -235,10 +268,8 @@ class RobotModel:
         columns = []
         for axis in np.eye(3):
             model.gravity.linear = axis
-            columns.append(
-                pin.computeGeneralizedGravity(model, data, q)
-                - self.compute_load_torque(load)
-            )
+            torque = pin.computeGeneralizedGravity(model, data, q)
+            columns.append(torque - self.compute_load_torque(load))
         model.gravity.linear = gravity_before
         return np.array(columns).T
 
@@ -263,7 +294,30 @@ class RobotModel:
         """Return the poses of links at positions, shape (n,) [rad]; ConfigError if unknown."""
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
-        return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
+        frames = [self._find_frame('link', name) for name in links]
+        return [_copy_pose(self._data.oMf[frame]) for frame in frames]
+
+
+def _list_joints(model: pin.Model) -> list[str]:
+    """Return the names of the joints, without the world, which pinocchio counts as the first."""
+    return list(model.names)[1:]
+
+
+def _require_joints(names: list[str], configured: list[str]) -> None:
+    """Check that an arm's joints are the configured ones, and not too many; ConfigError."""
+    if names != configured:
+        expected = f"the robot's joints {names}"
+        others = [name for name in names if name not in configured]
+        if others:
+            expected = f'{expected}, or {others} in robot.locked_joints'
+        raise ConfigError('robot.joint_names', expected, configured)
+    if len(names) > MAX_JOINTS:
+        raise ConfigError(
+            'robot.joint_names',
+            f'at most {MAX_JOINTS} joints',
+            len(names),
+            hint='lock others: robot.locked_joints',
+        )
 
 
 def load_model(
@@ -315,11 +369,11 @@ def load_model(
             'robot.urdf', 'a readable URDF file', f'{source} ({error.strerror})'
         ) from None
     except (ValueError, RuntimeError) as error:
-        reasons = str(error).strip().splitlines() or ['not a URDF']
+        reasons = ['not a URDF', *str(error).strip().splitlines()]
         raise ConfigError(
             'robot.urdf', 'a valid URDF', f'{source} ({reasons[-1]})'
         ) from None
-    names = list(model.names)[1:]
+    names = _list_joints(model)
     unknown = [name for name in locked if name not in names]
     if unknown:
         raise ConfigError(
@@ -358,11 +412,21 @@ def _remove_shapes(root: ElementTree.Element) -> None:
 
 
 class Follower(NamedTuple):
-    """The coupling of a joint that mimics another, to multiplier x leader + offset."""
+    """
+    The coupling of a joint that mimics another, to multiplier x leader + offset.
+
+    Attributes
+    ----------
+    leader
+        Name of the joint that it mimics.
+    multiplier, offset
+        Factor of the leader's position, and what is added [rad or m].
+
+    """
 
     leader: str
     multiplier: float
-    offset: float  # rad or m
+    offset: float
 
 
 def find_followers(root: ElementTree.Element) -> dict[str, Follower]:
@@ -370,9 +434,14 @@ def find_followers(root: ElementTree.Element) -> dict[str, Follower]:
     Return the joints of a URDF that have no motor of their own, by name.
 
     A coupling of the mechanism moves them, which neither the model nor the law knows of.
-    ConfigError if a multiplier or an offset is no number.
+
+    Raises
+    ------
+    ConfigError
+        If a multiplier or an offset is no number.
+
     """
-    found = {}
+    followers = {}
     for joint in root.findall('joint'):
         mimic = joint.find('mimic')
         if mimic is None or joint.get('type') == 'fixed':
@@ -387,23 +456,23 @@ def find_followers(root: ElementTree.Element) -> dict[str, Follower]:
                 raise ConfigError(
                     f'robot.urdf.{name}.mimic.{key}', 'a number', f"'{text}'"
                 ) from None
-        found[name] = Follower(leader=mimic.get('joint', ''), **numbers)
-    return found
+        followers[name] = Follower(mimic.get('joint', ''), **numbers)
+    return followers
 
 
 def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) -> None:
     """Refuse joints that mimic others, unless they are locked, by ConfigError with all."""
     errors = []
     for name, follower in find_followers(root).items():
-        if name not in locked:
-            errors.append(
-                ConfigError(
-                    f'robot.urdf.{name}.mimic',
-                    'joints with a motor of their own',
-                    f'{name} follows {follower.leader}, no motor of its own',
-                    hint='list it in robot.locked_joints if it is no part of the arm',
-                )
-            )
+        if name in locked:
+            continue
+        error = ConfigError(
+            f'robot.urdf.{name}.mimic',
+            'joints with a motor of their own',
+            f'{name} follows {follower.leader}, no motor of its own',
+            hint='list it in robot.locked_joints if it is no part of the arm',
+        )
+        errors.append(error)
     if errors:
         raise ConfigError.combine(errors)
 
@@ -416,7 +485,8 @@ def _read_axes(root: ElementTree.Element) -> dict[str, Vector]:
         text = '1 0 0'
         if axis is not None:
             text = axis.get('xyz', text)
-        axes[joint.get('name', '')] = np.array(text.split(), dtype=float)
+        name = joint.get('name', '')
+        axes[name] = np.array(text.split(), dtype=float)
     return axes
 
 
@@ -457,9 +527,8 @@ def _lock_joints(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
             frame.name = f' {frame.name}'
-    reduced = pin.buildReducedModel(
-        model, [model.getJointId(name) for name in locked], posture
-    )
+    numbers = list(map(model.getJointId, locked))
+    reduced = pin.buildReducedModel(model, numbers, posture)
     for frame in reduced.frames:
         frame.name = frame.name.strip()
     return reduced
@@ -477,36 +546,45 @@ def _find_defects(
             model.lowerPositionLimit[joint - 1],
             model.upperPositionLimit[joint - 1],
         )
-        body = _body_of(model, joint)
+        body = _join_links(model, joint)
         if body is not None:
             yield from model_check.check_body(body)
 
 
-def _body_of(model: pin.Model, joint: int) -> model_check.Body | None:
+def _join_links(model: pin.Model, joint: int) -> model_check.Body | None:
     """Return the links that a joint carries; None of a massless link between axes that meet."""
-    offsets = [
-        float(np.linalg.norm(placement.translation))
-        for placement in model.jointPlacements
-    ]
-    to_next = [
-        offset for offset, parent in zip(offsets, model.parents) if parent == joint
-    ]
+    offsets = list(map(_measure_distance, model.jointPlacements))
+    next_offsets = []
+    for offset, parent in zip(offsets, model.parents):
+        if parent == joint:
+            next_offsets.append(offset)
     inertia = model.inertias[joint]
-    if not inertia.mass and min(to_next, default=1.0) <= MEETING_AXES:
+    if not inertia.mass and min(next_offsets, default=1.0) <= MEETING_AXES:
         return None
     frames = [frame for frame in model.frames if frame.parentJoint == joint]
     fixed = [frame for frame in frames if frame.inertia.mass]  # to the joint's own link
     fixed_masses = [frame.inertia.mass for frame in fixed]
-    reaches = [float(np.linalg.norm(frame.placement.translation)) for frame in frames]
+    own_mass = inertia.mass - sum(fixed_masses)
+    lengths = [_measure_distance(frame.placement) for frame in frames]
+    lengths.append(offsets[joint])
+    if next_offsets:
+        lengths += next_offsets
+    else:  # no joint follows: any length between the arm's joints may be that of the links
+        lengths += offsets
     names = [frame.name for frame in (frames[1], *fixed)]
     return model_check.Body(
         name='+'.join(names),
-        length=max(offsets[joint], *(to_next or offsets), *reaches),
+        length=max(lengths),
         mass=inertia.mass,
-        least_mass=min(inertia.mass - sum(fixed_masses), *fixed_masses, 0.0),
+        least_mass=min(own_mass, *fixed_masses, 0.0),
         com=inertia.lever,
         inertia=inertia.inertia,
     )
+
+
+def _measure_distance(placement: pin.SE3) -> float:
+    """Return how far a placement is from the frame that it is relative to [m]."""
+    return float(np.linalg.norm(placement.translation))
 
 
 def check_torques(
@@ -533,33 +611,43 @@ def check_torques(
 
     """
     data = model.createData()
-    inertias = np.min(
-        [np.diag(pin.crba(model, data, q)) for q in _postures(model)], axis=0
-    )
-    gravity = (not adds_gravity) * largest_gravity(model)
+    inertias = [np.diag(pin.crba(model, data, q)) for q in _sample_postures(model)]
+    least_inertias = np.min(inertias, axis=0)
+    gravity = find_largest_gravity(model)
+    if adds_gravity:
+        gravity = np.zeros_like(gravity)
     masses = [inertia.mass for inertia in model.inertias]
     heaviest = int(np.argmax(masses))
-    heavy = f'{masses[heaviest]:.4g} kg on {model.names[heaviest]}'
+    heaviest_body = f'{masses[heaviest]:.4g} kg on {model.names[heaviest]}'
     findings: list[model_check.Finding] = []
-    for figures in zip(list(model.names)[1:], gravity, inertias, limits):
-        findings += model_check.check_load(model_check.JointLoad(*figures), heavy)
+    for figures in zip(_list_joints(model), gravity, least_inertias, limits):
+        load = model_check.JointLoad(*figures)
+        findings += model_check.check_load(load, heaviest_body)
     return model_check.collect_warnings(findings)
 
 
-def largest_gravity(model: pin.Model) -> Vector:
-    """Return the torque that holds the arm in any of many postures, shape (n,) [N m]."""
+def find_largest_gravity(model: pin.Model) -> Vector:
+    """
+    Return the largest torques of gravity in `POSTURES` postures, shape (n,) [N m].
+
+    The postures are spread over the ranges of the joints at random, always the same ones: a motor
+    that holds these torques holds the arm nearly everywhere.
+    """
     data = model.createData()
-    torques = [pin.computeGeneralizedGravity(model, data, q) for q in _postures(model)]
+    torques = []
+    for q in _sample_postures(model):
+        torques.append(pin.computeGeneralizedGravity(model, data, q))
     largest: Vector = np.abs(torques).max(axis=0)
     return largest
 
 
-def _postures(model: pin.Model) -> Matrix:
-    """Return joint angles over the joints' ranges, shape (64, n) [rad]."""
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, model.nq))
+def _sample_postures(model: pin.Model) -> Matrix:
+    """Return joint angles over the joints' ranges, shape (POSTURES, n) [rad]."""
+    generator = np.random.default_rng(0)
+    angles = generator.uniform(-np.pi, np.pi, (POSTURES, model.nq))
     return np.clip(angles, model.lowerPositionLimit, model.upperPositionLimit)
 
 
-def _pose(placement: pin.SE3) -> Pose:
+def _copy_pose(placement: pin.SE3) -> Pose:
     """Return a placement of pinocchio in arrays of its own."""
     return Pose(placement.translation.copy(), np.ascontiguousarray(placement.rotation))

@@ -20,7 +20,8 @@ def quaternion_from_rotation(
     """
     Return the unit quaternion, scalar last, of a rotation, shape (3, 3).
 
-    Shepperd's method: of the four ways to take the roots, the one without cancellation.
+    Shepperd's method: the greatest of the trace and the diagonal names the largest component of
+    the quaternion, from whose root the other three follow without cancellation.
     """
     xx, xy, xz = rotation[0][0], rotation[0][1], rotation[0][2]
     yx, yy, yz = rotation[1][0], rotation[1][1], rotation[1][2]
@@ -47,16 +48,28 @@ def quaternion_from_rotation(
         y = yz + zy
         z = 1.0 - trace + 2.0 * zz
         w = yx - xy
-    size = np.sqrt(x * x + y * y + z * z + w * w)
-    return x / size, y / size, z / size, w / size
+    norm = np.sqrt(x * x + y * y + z * z + w * w)
+    return x / norm, y / norm, z / norm, w / norm
 
 
 @compiled
 def rotation_vector_between(rotation_des: Matrix, rotation: Matrix) -> Triple:
     """
-    Return log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
+    Return log(R_des R^T), the rotation from an orientation to a desired one.
 
-    The result is in [rad], the orientations are of shape (3, 3).
+    The skew part of R_des R^T is the axis times the sine of the angle. Near half a turn it
+    vanishes and no longer names the axis, which then comes from the quaternion.
+
+    Parameters
+    ----------
+    rotation_des, rotation
+        R_des and R, shape (3, 3), each with the axes of a frame as columns in world axes.
+
+    Returns
+    -------
+    Triple
+        Rotation vector in world axes [rad], of a length up to pi.
+
     """
     error = (
         rotate_vector(rotation, rotation_des[0]),
@@ -64,48 +77,65 @@ def rotation_vector_between(rotation_des: Matrix, rotation: Matrix) -> Triple:
         rotate_vector(rotation, rotation_des[2]),
     )
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = error
-    vector = (0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy))  # its skew part
     cosine = 0.5 * (xx + yy + zz - 1.0)
-    sine = vector_length(vector)
     if cosine < -0.99:
-        # Near half a turn the skew part vanishes, and no longer names the axis.
         x, y, z, w = quaternion_from_rotation(error)
         sine = vector_length((x, y, z))
         angle = 2.0 * np.arctan2(sine, abs(w))
         if w < 0.0:
             angle = -angle
         return angle * x / sine, angle * y / sine, angle * z / sine
-    if sine >= 1e-9:
-        factor = np.arctan2(sine, cosine) / sine
-        return vector[0] * factor, vector[1] * factor, vector[2] * factor
-    return vector
+    x = 0.5 * (zy - yz)
+    y = 0.5 * (xz - zx)
+    z = 0.5 * (yx - xy)
+    sine = vector_length((x, y, z))
+    if sine < 1e-9:
+        return x, y, z
+    factor = np.arctan2(sine, cosine) / sine
+    return x * factor, y * factor, z * factor
 
 
 class Pose(NamedTuple):
-    """Position and orientation of a frame in the world."""
+    """
+    Position and orientation of a frame in the world.
 
-    position_world: Vector  # origin of the frame, shape (3,) [m]
-    rotation_world: Matrix  # its axes as columns, in world axes, shape (3, 3)
+    Attributes
+    ----------
+    position_world
+        Origin of the frame in world axes, shape (3,) [m].
+    rotation_world
+        Axes of the frame as columns, in world axes, shape (3, 3).
+
+    """
+
+    position_world: Vector
+    rotation_world: Matrix
 
     @property
     def quaternion_xyzw(self) -> Vector:
         """Orientation as a unit quaternion, shape (4,), scalar last."""
         # A copy: numba would compile anew for an array of another layout, or not writable.
-        return np.array(
-            quaternion_from_rotation(np.array(self.rotation_world, order='C'))
-        )
+        rotation = np.array(self.rotation_world, order='C')
+        return np.array(quaternion_from_rotation(rotation))
 
     def displacement_to(self, goal: Pose) -> Vector:
-        """Return displacement and rotation vector to another pose, world axes, (6,) [m, rad]."""
+        """Return the displacement and the rotation vector to another pose, (6,) [m, rad]."""
+        displacement = goal.position_world - self.position_world
         turn = Rotation.from_matrix(goal.rotation_world @ self.rotation_world.T)
-        return np.concatenate(
-            [goal.position_world - self.position_world, turn.as_rotvec()]
-        )
+        return np.concatenate([displacement, turn.as_rotvec()])
 
     @classmethod
     def from_quaternion(cls, position_world: Vector, quaternion_xyzw: Vector) -> Pose:
-        """Build a pose from a position [m] and a quaternion, scalar last, of any length > 0."""
-        return cls(
-            np.asarray(position_world, dtype=float),
-            Rotation.from_quat(quaternion_xyzw).as_matrix(),
-        )
+        """
+        Build a pose from a position and a quaternion, as messages have them.
+
+        Parameters
+        ----------
+        position_world
+            Origin of the frame in world axes, shape (3,) [m].
+        quaternion_xyzw
+            Orientation of the frame, shape (4,), scalar last, of any length above 0.
+
+        """
+        position = np.asarray(position_world, dtype=float)
+        return cls(position, Rotation.from_quat(quaternion_xyzw).as_matrix())

@@ -17,32 +17,44 @@ def parse_urdf(text: str | bytes) -> ElementTree.Element:
     """
     Return the root element of a URDF, whose tags have no default namespace.
 
-    ConfigError if it is no XML, or says something that URDF readers take for something else.
+    Parameters
+    ----------
+    text
+        Content of the file. Bytes may be in any encoding that Python knows and their XML names.
+
+    Raises
+    ------
+    ConfigError
+        If it is no XML, or has quaternions where URDF readers ignore them.
+
     """
     try:
-        root = _parse(text)
+        root = _parse_xml(text)
     except ElementTree.ParseError as error:
         raise ConfigError('urdf', 'a valid URDF', str(error)) from None
     namespace = re.match(r'{[^}]*}', root.tag)
     if namespace:
         for element in root.iter():
             element.tag = element.tag.removeprefix(namespace[0])
-    _refuse_ignored_turns(root)
+    _refuse_ignored_quaternions(root)
     return root
 
 
-def _parse(text: str | bytes) -> ElementTree.Element:
+def _parse_xml(text: str | bytes) -> ElementTree.Element:
     """Return the root element of XML in any encoding that Python knows; ConfigError."""
     try:
         return ElementTree.fromstring(text)
     except (ValueError, LookupError):  # expat knows encodings of one byte, and Unicode
-        content = text.encode() if isinstance(text, str) else text
-    declared = DECLARATION.match(content)
-    if declared is None:
+        content = text
+    if isinstance(content, str):
+        content = content.encode()
+    declaration = DECLARATION.match(content)
+    if declaration is None:
         raise ConfigError('urdf', 'a valid URDF', 'text in an unknown encoding')
-    name = declared[1].decode()
+    name = declaration[1].decode()
+    encoding = SUPERSETS.get(name.lower(), name)
     try:
-        decoded = content.decode(SUPERSETS.get(name.lower(), name))
+        decoded = content.decode(encoding)
     except LookupError:
         raise ConfigError(
             'urdf', 'an encoding that is known, e.g. UTF-8', name
@@ -56,13 +68,13 @@ def _parse(text: str | bytes) -> ElementTree.Element:
     return ElementTree.fromstring(decoded)
 
 
-def _refuse_ignored_turns(root: ElementTree.Element) -> None:
-    """Refuse rotations that count from version 1.1 on, and are ignored before."""
+def _refuse_ignored_quaternions(root: ElementTree.Element) -> None:
+    """Refuse quaternions, which count from version 1.1 on and are ignored before."""
     version = root.get('version', '1.0')
     if version != '1.0':
         return
     for element in (*root.findall('link'), *root.findall('joint')):
-        if any('quat_xyzw' in origin.attrib for origin in element.iter('origin')):
+        if element.find('.//origin[@quat_xyzw]') is not None:
             raise ConfigError(
                 f'urdf.{element.get("name")}.origin',
                 'rpy, in version 1.0',
@@ -72,28 +84,39 @@ def _refuse_ignored_turns(root: ElementTree.Element) -> None:
 
 
 def find_joint_ends(joint: ElementTree.Element) -> tuple[str, str]:
-    """Return parent and child link of a joint; empty where it does not say."""
-    links = []
-    for end in ('parent', 'child'):
-        element = joint.find(end)
-        links.append('' if element is None else element.get('link', ''))
-    parent, child = links
-    return parent, child
+    """Return the names of the parent and child link of a joint; empty where it does not say."""
+    return _find_end(joint, 'parent'), _find_end(joint, 'child')
+
+
+def _find_end(joint: ElementTree.Element, end: str) -> str:
+    element = joint.find(end)
+    if element is None:
+        return ''
+    return element.get('link', '')
 
 
 def check_link_tree(root: ElementTree.Element) -> None:
-    """Check that the joints of a URDF make one tree of its links; ConfigError."""
+    """
+    Check that the joints of a URDF make one tree of its links.
+
+    Raises
+    ------
+    ConfigError
+        If a joint names a link that there is not, if two joints carry the same link, or if none
+        or several links are carried by no joint.
+
+    """
     links = [link.get('name', '') for link in root.findall('link')]
-    carriers = defaultdict[str, list[str]](list)  # of a link, the joints
+    carriers = defaultdict[str, list[str]](list)  # joints by the link that they carry
     for joint in root.findall('joint'):
         name = joint.get('name', '')
-        parent, child = find_joint_ends(joint)
-        for end, link in (('parent', parent), ('child', child)):
+        for end in ('parent', 'child'):
+            link = _find_end(joint, end)
             if link not in links:
                 raise ConfigError(
                     f'urdf.{name}.{end}', 'a link of the URDF', f"'{link}'"
                 )
-        carriers[child].append(name)
+        carriers[link].append(name)
     for link, joints in carriers.items():
         if len(joints) > 1:
             raise ConfigError(
@@ -103,8 +126,5 @@ def check_link_tree(root: ElementTree.Element) -> None:
             )
     bases = [link for link in links if link not in carriers]
     if len(bases) != 1:
-        raise ConfigError(
-            'urdf',
-            'one link that no joint carries, the base',
-            ', '.join(bases) or 'none',
-        )
+        found = ', '.join(bases) if bases else 'none'
+        raise ConfigError('urdf', 'one link that no joint carries, the base', found)

@@ -73,7 +73,9 @@ class Course(NamedTuple):
         leg, elapsed = divmod(time, self.leg_time)
         way = _smooth_run(elapsed, self.distance, self.speed)
         returns = leg % 2 == 1
-        return far_end - way if returns else way
+        if returns:
+            return far_end - way
+        return way
 
     def setpoints(self, ways: Matrix) -> list[MotionReading]:
         """

@@ -63,7 +63,7 @@ def _distant_wall(link: str, normal: Vector, stiffness: float) -> dict[str, Any]
     }
 
 
-def _fail(*_arguments: Any, **_named: Any) -> Any:
+def _raise_error(*_arguments: Any, **_named: Any) -> Any:
     """Raise, whatever the part is called with."""
     raise ArithmeticError('broken part')
 
@@ -91,7 +91,7 @@ class FaultOccurrence:
             self._action.begin(loop.plant, self.choice)
         if isinstance(self._action, Breakdown):
             owner, name = self._find_broken_part()
-            setattr(owner, name, _fail)
+            setattr(owner, name, _raise_error)
 
     def _find_broken_part(self) -> tuple[Any, str]:
         """Return the owner of the broken part of the supervisor, and its name there."""

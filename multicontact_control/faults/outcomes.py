@@ -60,9 +60,7 @@ class FaultRow:
     # force is, and stays, within the ceiling [s]; infinite if that never comes.
     time_to_safe_s: float
     peak_force_n: float  # largest true normal force, also on what is in the way [N]
-    peak_torque_fraction: (
-        float  # largest commanded torque over its limit, 0 without one
-    )
+    peak_torque_fraction: float  # largest command over its limit, 0 without one
     safe: bool  # without `problems`
     plant: str
     phase: str
@@ -155,8 +153,9 @@ def judge_fault(
     problems, torque_fraction = find_violations(seen, setup)
     problems |= _find_misses(fault, seen)
     latest = _latest_reaction_tick(fault, setup)
-    is_expected = phase in fault.phases and seen.fault_ticks > latest
-    expected = fault.declared if is_expected else ()
+    expected: tuple[str, ...] = ()
+    if phase in fault.phases and seen.fault_ticks > latest:
+        expected = fault.declared
     reached = _first_declared_tick(seen.reactions, expected)
     if reached is None or reached > latest:
         problems.add('declared reaction late')
@@ -177,6 +176,7 @@ def judge_fault(
         if fault.allows_return and is_off[back:].any():
             shortfalls.append('not back at its command')
     peak_force = max(seen.obstacle_forces.max(initial=0.0), seen.force.max(initial=0.0))
+    names = [f'{part.input} {part.kind}' for part in fault.parts]
     return FaultRow(
         kind=fault.kind,
         input=fault.input,
@@ -192,7 +192,7 @@ def judge_fault(
         off_command_s=off_command,
         transitions=transitions,
         shortfalls=', '.join(shortfalls),
-        pair=' + '.join(f'{part.input} {part.kind}' for part in fault.parts),
+        pair=' + '.join(names),
     )
 
 
@@ -241,7 +241,8 @@ def judge_situation(
     problems, torque_fraction = find_violations(seen, setup)
     over = seen.forces - seen.commands
     peak = float(over.max())
-    speed = float((np.abs(way.qd) / (limits.joint_speed or math.inf)).max())
+    speed_limit = limits.joint_speed or math.inf
+    speed = float((np.abs(way.qd) / speed_limit).max())
     beyond = -math.inf
     if limits.joint_lower:
         below_lower = limits.joint_lower - way.q
@@ -258,7 +259,8 @@ def judge_situation(
         problems.add('motion not asked for')
     end_ticks = round(END_TIME * setup.controller.rate)
     off = np.abs(over[-end_ticks:].mean(axis=0)).max()
-    short = np.linalg.norm(way.across[-1] @ (way.setpoint[-1] - way.position[-1]))
+    missing_way = way.setpoint[-1] - way.position[-1]
+    short = np.linalg.norm(way.across[-1] @ missing_way)
     return SituationRow(
         what=what,
         peak_over_n=round(peak, 3),

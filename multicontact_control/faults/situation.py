@@ -29,7 +29,8 @@ from sim_bridge.new_robot import new_robot
 from sim_bridge.robots import DEFAULT, find_robot
 
 FOREIGN = 'foreign'  # in the place of a robot's name
-FOREIGN_URDF, FOREIGN_LINK = 'foreign_arm.urdf', 'l6'
+FOREIGN_URDF = 'foreign_arm.urdf'
+FOREIGN_LINK = 'l6'
 COMMAND_TIME = 0.1  # s, when the forces are commanded
 STEP_TIME = 1.2  # s, when a scenario's forces go from the preload to their commands
 BLEND_TIME = 1.0  # s, of a sinusoid
@@ -37,6 +38,7 @@ BOX_MARGIN = 1e-3  # m
 BEYOND_STOP = 0.15  # rad, that a motion leads a joint beyond its stop
 FARTHEST_SLIDE = 0.3  # m, to lead a joint to its stop
 FARTHEST_TURN = 0.8  # rad, likewise
+SIDE_SIGNS = {'lower': -1.0, 'upper': 1.0}  # of the turn towards a stop of a joint
 
 
 class SituationConfig(Config):
@@ -182,10 +184,13 @@ def find_means(name: str) -> RobotMeans:
         Of its `urdf` or `engine`, if it is not installed.
 
     """
-    robot = find_robot(foreign_robot() if name == FOREIGN else name or DEFAULT)
+    source = name or DEFAULT
+    if name == FOREIGN:
+        source = foreign_robot()
+        if find_spec('mujoco') is None:
+            raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
+    robot = find_robot(source)
     contacts = robot.controller_base()['contact_names']
-    if name == FOREIGN and find_spec('mujoco') is None:
-        raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
     plants = {*robot.file.plants, *robot.file.plant_aliases}
     return RobotMeans(plants, len(contacts), len(robot.arm.links))
 
@@ -227,13 +232,12 @@ def resolve_situation(
         motion_duration = 0.5 * situation.legs * course.period
         scenario['duration'] = situation.motion_time + motion_duration
     chosen = {'contact_names': list(names)}
+    limits = _stops_near_home(base, situation)
+    surfaces = _tilted_surfaces(base, situation, course)
     changes = {
-        'controller': {**chosen, 'limits': _stops_near_home(base, situation)},
+        'controller': {**chosen, 'limits': limits},
         'noise_estimator': chosen,
-        'plant_overrides': {
-            **chosen,
-            'surfaces': _tilted_surfaces(base, situation, course),
-        },
+        'plant_overrides': {**chosen, 'surfaces': surfaces},
         'scenario_overrides': scenario,
     }
     return resolve(**merge(given, changes)), course
@@ -252,7 +256,8 @@ def _plan_course(
         free = np.eye(3)
         if situation.force:
             contacts = base.controller.contacts
-            free = null_space(np.array([contacts[name].normal_world for name in names]))
+            normals = [contacts[name].normal_world for name in names]
+            free = null_space(np.array(normals))
         direction, axis, distance = _towards_stop(
             state.mass_matrix, state.jacobian, free, situation
         )
@@ -263,20 +268,20 @@ def _plan_course(
         ends = np.where(direction > 0.0, limits.workspace_upper, limits.workspace_lower)
         room = np.abs(ends - state.pose.position_world) - BOX_MARGIN
         along = np.abs(direction) > 1e-9
-        distance = min(distance, float((room[along] / np.abs(direction[along])).min()))
-    legs = situation.legs if direction.any() or axis.any() else 0
+        distances = room[along] / np.abs(direction[along])
+        distance = min(distance, float(distances.min()))
+    legs = 0
+    if direction.any() or axis.any():
+        legs = situation.legs
     return Course(state.pose, direction, axis, distance, situation.speed, legs)
 
 
 def _unit_vector(vector: Vector) -> Vector:
     """Return a vector of unit length in the same direction, or 0 as it is."""
     length = float(np.linalg.norm(vector))
-    return vector / length if length else vector
-
-
-def _side_sign(situation: SituationConfig) -> float:
-    """Return in which direction the joint turns towards its stop."""
-    return 1.0 if situation.stop_side == 'upper' else -1.0
+    if length == 0.0:
+        return vector
+    return vector / length
 
 
 def _towards_stop(
@@ -298,7 +303,7 @@ def _towards_stop(
     turn = rates[3:]
     rate_of_slide = float(np.linalg.norm(slide))  # rad of the joint per m
     rate_of_turn = float(np.linalg.norm(turn))
-    sign = _side_sign(situation)
+    sign = SIDE_SIGNS[situation.stop_side]
     way = situation.stop_margin + BEYOND_STOP
     if FARTHEST_SLIDE * rate_of_slide >= min(way, FARTHEST_TURN * rate_of_turn):
         distance = min(way / max(rate_of_slide, 1e-9), FARTHEST_SLIDE)
@@ -313,7 +318,7 @@ def _stops_near_home(base: Setup, situation: SituationConfig) -> dict[str, list[
     joint = situation.stop_joint - 1
     side = f'joint_{situation.stop_side}'
     stops = list(getattr(base.controller.limits, side))
-    margin = _side_sign(situation) * situation.stop_margin
+    margin = SIDE_SIGNS[situation.stop_side] * situation.stop_margin
     stops[joint] = base.plant.home[joint] + margin
     return {side: stops}
 
@@ -340,16 +345,16 @@ def _sine_reference(
     names: tuple[str, ...],
 ) -> dict[str, Any]:
     """Return the scenario's reference: forces, then a sinusoid to either side."""
+    forces = dict.fromkeys(names, situation.force)
+    motion = {
+        'start_time': situation.motion_time,
+        'direction_world': course.direction.tolist(),
+        'amplitude': course.distance,
+        'period': course.period,
+        'blend_time': BLEND_TIME,
+    }
     return {
         'approach': {'start_time': COMMAND_TIME},
-        'force_steps': [
-            {'time': STEP_TIME, 'forces': dict.fromkeys(names, situation.force)}
-        ],
-        'motion': {
-            'start_time': situation.motion_time,
-            'direction_world': course.direction.tolist(),
-            'amplitude': course.distance,
-            'period': course.period,
-            'blend_time': BLEND_TIME,
-        },
+        'force_steps': [{'time': STEP_TIME, 'forces': forces}],
+        'motion': motion,
     }

@@ -56,7 +56,9 @@ class SituationRun:
         self._setpoints = self._plan_setpoints(setup)
         self._setpoint = self._setpoints[0]
         self._bias = self._sensor_bias(setup)
-        distance = situation.farther if situation.force else NOWHERE
+        distance = NOWHERE
+        if situation.force:
+            distance = situation.farther
         for surface in range(len(setup.plant.touched)):
             self.loop.plant.contacts.shift_surface(surface, distance)
         self.seen: defaultdict[str, list[Any]] = defaultdict(list)  # of every tick
@@ -108,7 +110,10 @@ class SituationRun:
         seen['q'].append(np.array(loop.plant.arm.q))
         seen['qd'].append(np.array(loop.plant.arm.qd))
         seen['tip'].append(loop.plant.contacts.points_world.copy())
-        loop.advance(self._add_bias if self._bias.any() else None)
+        if self._bias.any():
+            loop.advance(self._add_bias)
+        else:
+            loop.advance()
         seen['torque'].append(loop.command.copy())
         seen['states'].append(loop.status.contact_states)
         seen['reaction'].append(loop.status.reaction)
@@ -135,7 +140,7 @@ class SituationRun:
             is_commanded = any(control.commanded_forces.values())
             if time >= COMMAND_TIME and situation.force and not is_commanded:
                 control.set_forces(dict.fromkeys(self._names, situation.force))
-            moves = self._course.legs and in_motion
+            moves = in_motion and self._course.legs > 0
             if moves and _differs(setpoint, self._setpoint):
                 control.set_motion(setpoint)
                 self._setpoint = setpoint
@@ -168,12 +173,13 @@ class SituationRun:
         contacts = self.loop.setup.controller.contacts
         q = np.array(seen['q'])
         qd = np.array(seen['qd'])
-        positions = [
-            self._robot.update(*joints).pose.position_world for joints in zip(q, qd)
-        ]
+        positions = []
+        for joints in zip(q, qd):
+            state = self._robot.update(*joints)
+            positions.append(state.pose.position_world)
         wanted = np.array(seen['commanded']) > 0.0
         normals = np.array([contacts[name].normal_world for name in self._names])
-        setpoints = self._setpoint_places()
+        setpoints = np.array([each.position_world for each in seen['setpoint']])
         return MotionTrace(
             direction=self._course.direction,
             q=q,
@@ -188,25 +194,19 @@ class SituationRun:
             states=seen['states'],
         )
 
-    def _setpoint_places(self) -> Matrix:
-        """Return where the operational point should have been, shape (ticks, 3) [m]."""
-        return np.array([setpoint.position_world for setpoint in self.seen['setpoint']])
-
     def _tip_setpoints(self, places: Matrix) -> Any:
         """Return where the tips would be if each setpoint were reached, shape (ticks, k, 3)."""
         start = self._course.start
         offsets = self.seen['tip'][0] - start.position_world
         quaternions = [setpoint.quaternion_xyzw for setpoint in self.seen['setpoint']]
-        turned = (
-            Rotation.from_quat(quaternions)
-            * Rotation.from_quat(start.quaternion_xyzw).inv()
-        )
+        back_to_start = Rotation.from_quat(start.quaternion_xyzw).inv()
+        turned = Rotation.from_quat(quaternions) * back_to_start
         return np.stack([places + turned.apply(offset) for offset in offsets], axis=1)
 
 
 def _differs(setpoint: MotionReading, before: MotionReading) -> bool:
     """Return whether a setpoint says anything new."""
-    return any(bool((new != old).any()) for new, old in zip(setpoint, before))
+    return not all(map(np.array_equal, setpoint, before))
 
 
 def run_situation(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ LEAVING = ('retracting', 'given up')  # contacts that are left on purpose
 ON_COURSE = 1e-3  # m beside the course, within which it counts as followed
 LAG = 2e-3  # m behind the setpoint, up to which nothing holds an arm up
 SLACK = 1.5  # of the way aside that a straight edge would need
+ENDED = -math.inf  # in the place of a step, where motion does not count
 
 
 class MotionTrace(NamedTuple):
@@ -31,6 +32,17 @@ class MotionTrace(NamedTuple):
     # What is left of a vector across the wanted normals, shape (ticks, 3, 3).
     across: Any
     states: Sequence[tuple[str, ...]]  # of the contacts
+
+    def project_points(self, points: Matrix) -> Matrix:
+        """
+        Return the ways from the first position to some points, across the wanted normals [m].
+
+        A row for each tick, shape (ticks, 3). Along the normals the surfaces decide where the arm
+        is, and not the course.
+        """
+        ways = points - self.position[0]
+        projected: Matrix = np.einsum('kij,kj->ki', self.across, ways)
+        return projected
 
     def tip_steps(self, contact: int, normal: Vector) -> Vector:
         """
@@ -59,10 +71,8 @@ def unasked_motion(setup: Setup, trace: MotionTrace) -> float:
     - a tip that is sought goes towards its surface by more than the approach's speed allows.
     - a tip that has been at its surface leaves it, unless the contact is left on purpose.
     """
-    position, setpoint = (
-        np.einsum('kij,kj->ki', trace.across, points - trace.position[0])
-        for points in (trace.position, trace.setpoint)
-    )
+    position = trace.project_points(trace.position)
+    setpoint = trace.project_points(trace.setpoint)
     along = position @ trace.direction
     wanted = setpoint @ trace.direction
     gap = position - setpoint - np.outer(along - wanted, trace.direction)
@@ -80,31 +90,32 @@ def _motion_away(along: Vector, wanted: Vector) -> float:
     asked = np.diff(wanted)
     gone = np.diff(along)
     missing = wanted[1:] - along[:-1]
-    with_setpoint = np.sign(asked) * np.clip(gone * np.sign(asked), 0.0, np.abs(asked))
+    way_asked_for = np.clip(gone * np.sign(asked), 0.0, np.abs(asked))
+    with_setpoint = np.sign(asked) * way_asked_for
     away = np.abs(missing - (gone - with_setpoint)) - np.abs(missing)
-    return largest_motion_in_one_go(away, np.zeros(len(away), dtype=bool))
+    return largest_motion_in_one_go(away)
 
 
 def _motion_aside(beside: Vector, along: Vector, wanted: Vector) -> float:
     """Return how far a point went aside from the course where nothing held it up [m]."""
-    largest = 0.0
-    total = 0.0
+    steps = []
     left_at = along[0]
     before = beside[0]
     for distance, place, goal in zip(beside.tolist(), along.tolist(), wanted.tolist()):
         if distance < ON_COURSE:
             left_at = place
         short = abs(goal - place)
-        towards_goal = place - left_at if goal > place else left_at - place
+        towards_goal = place - left_at
+        if goal <= place:
+            towards_goal = left_at - place
         way_since = max(0.0, towards_goal)
         edge_distance = math.sqrt(way_since * max(0.0, short - LAG))
         step = distance - before
         if distance <= SLACK * edge_distance:  # it follows an edge
             step = min(step, 0.0)
-        total = max(0.0, total + step)
-        largest = max(largest, total)
+        steps.append(step)
         before = distance
-    return largest
+    return largest_motion_in_one_go(steps)
 
 
 def _motion_beyond_approach(
@@ -117,7 +128,7 @@ def _motion_beyond_approach(
     )
     steps = trace.tip_steps(contact, normal) - speed * setup.controller.period
     is_sought = trace.wanted[1:, contact] & ~trace.pressed[1:, contact]
-    return largest_motion_in_one_go(steps, ~is_sought)
+    return largest_motion_in_one_go(np.where(is_sought, steps, ENDED))
 
 
 def _motion_off_surface(trace: MotionTrace, contact: int, normal: Vector) -> float:
@@ -127,27 +138,25 @@ def _motion_off_surface(trace: MotionTrace, contact: int, normal: Vector) -> flo
     has_pressed = np.maximum.accumulate(pressed)
     leaves = np.array([states[contact] in LEAVING for states in trace.states[1:]])
     should_press = has_pressed & trace.wanted[1:, contact] & ~leaves & ~pressed
-    return largest_motion_in_one_go(-steps, ~should_press)
+    return largest_motion_in_one_go(np.where(should_press, -steps, ENDED))
 
 
-def largest_motion_in_one_go(steps: Vector, ended: Mask) -> float:
+def largest_motion_in_one_go(steps: Iterable[float]) -> float:
     """
-    Return the largest sum of neighbouring steps.
+    Return the largest sum of neighbouring steps [m].
 
     Parameters
     ----------
     steps
-        Of every tick, negative where motion is taken back, shape (ticks,) [m].
-    ended
-        In which ticks a sum begins anew, shape (ticks,).
+        Of every tick, negative where motion is taken back, `ENDED` where a sum begins anew [m].
 
     """
     largest = 0.0
     total = 0.0
-    for step, has_ended in zip(steps.tolist(), ended.tolist()):
-        total = 0.0 if has_ended else max(0.0, total + step)
+    for step in steps:
+        total = max(0.0, total + step)
         largest = max(largest, total)
-    return largest
+    return float(largest)
 
 
 def project_across_normals(normals: Matrix, wanted: Mask) -> Any:

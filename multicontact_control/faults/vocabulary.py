@@ -13,7 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 TWO_AT_ONCE = 'two at once'  # kind of a pair of faults
-START, APPROACH, REST, SLIDING = 'start', 'approach', 'rest', 'sliding'
+START = 'start'
+APPROACH = 'approach'
+REST = 'rest'
+SLIDING = 'sliding'
 PHASES = (REST, SLIDING, APPROACH)
 
 Random = np.random.Generator
@@ -22,19 +25,22 @@ ValueChange = Callable[[Any, Vector], Any]
 PlantChange = Callable[[Any, Vector], None]
 ClockError = Callable[[float, float], float]
 
-HOLD, FLOAT, INFLATE = ('hold',), ('float',), ('inflate',)
+HOLD = ('hold',)
+FLOAT = ('float',)
+INFLATE = ('inflate',)
 STOPPED = ('hold', 'float', 'damp')
 REACTIONS = {'joints': FLOAT, 'wrench': HOLD, 'variance': INFLATE}
-CLOCK, PLANT = 'clock', 'plant'
+CLOCK = 'clock'
+PLANT = 'plant'
 
-NAN, INF = math.nan, math.inf
 PERIOD = 0.002  # s, by which clocks are moved
 LOSS = 0.3  # share of messages that an intermittent stream loses
-FULL_SCALE = np.array(
-    [100.0, 100.0, 200.0, 5.0, 5.0, 5.0]
-)  # N, N m of the simulated sensor
+# Of the simulated sensor [N, N m].
+FULL_SCALE = np.array([100.0, 100.0, 200.0, 5.0, 5.0, 5.0])
 LASTING = (300, 600)  # ticks of what is there from the start
-SIDE_WALL, ELBOW_WALL = -2, -1  # surfaces that are no contacts: the last ones
+# Surfaces that are no contacts: the last ones.
+SIDE_WALL = -2
+ELBOW_WALL = -1
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
 PARTS = (
@@ -85,12 +91,10 @@ class ReadingEdit:
 
     fields: tuple[str, ...]
     change: ValueChange | None  # None keeps the values of the first reading
-    source: str = (
-        ''  # field whose values are changed into those of `fields`; '' for their own
-    )
-    age: int = (
-        0  # how many readings ago the values without a change were; 0 for the first
-    )
+    # Field whose values are changed into those of `fields`; '' for their own.
+    source: str = ''
+    # How many readings ago the values without a change were; 0 for the first.
+    age: int = 0
     single: bool = False  # one number of each field, in a random place, and not all
 
     def edited_values(
@@ -120,8 +124,8 @@ class ReadingEdit:
             else:
                 values = self.change(now[self.source or name], choice)
             if self.single:
-                vector = _vector(now[name])
-                place = _random_place(vector, choice)
+                vector = _copy_as_floats(now[name])
+                place = _choose_place(vector, choice)
                 vector[place] = values[place]
                 values = vector
             edited[name] = values
@@ -206,7 +210,10 @@ class Fault:
         An internal error in the run's status is then expected, and its log is kept silent; in
         every other fault it is a problem by itself.
         """
-        return any(isinstance(each.action, Breakdown) for each in self.single_faults)
+        for fault in self.single_faults:
+            if isinstance(fault.action, Breakdown):
+                return True
+        return False
 
     @property
     def allows_return(self) -> bool:
@@ -216,10 +223,11 @@ class Fault:
         So it is after a delivery, a breakdown, or what is noticed and answered. A surface that is
         gone, or a bias that is believed, leaves it elsewhere.
         """
-        return all(
-            isinstance(each.action, (Delivery, Breakdown)) or bool(each.declared)
-            for each in self.single_faults
-        )
+        for fault in self.single_faults:
+            passes = isinstance(fault.action, (Delivery, Breakdown))
+            if not passes and not fault.declared:
+                return False
+        return True
 
     def random_source(self, seed: int) -> Random:
         """
@@ -228,71 +236,73 @@ class Fault:
         The seed and the letters of both names decide, so that a fault repeats bit by bit, also
         when others are added to the campaign.
         """
-        letters = sum(ord(letter) for letter in self.kind + self.input)
+        letters = sum(map(ord, self.kind + self.input))
         return np.random.default_rng([seed, letters])
 
 
-def _vector(values: Any) -> Vector:
+def _copy_as_floats(values: Any) -> Vector:
     """Return a copy as floats: edits must not reach the history of readings."""
     return np.array(values, dtype=float)
 
 
-def _sign(choice: Vector) -> float:
+def _choose_sign(choice: Vector) -> float:
     """Return the sign that the second draw stands for."""
-    return 1.0 if choice[1] < 0.5 else -1.0
+    if choice[1] < 0.5:
+        return 1.0
+    return -1.0
 
 
-def _random_place(vector: Vector, choice: Vector) -> int:
+def _choose_place(vector: Vector, choice: Vector) -> int:
     """Return the index that the first draw stands for."""
     return int(choice[0] * vector.size)
 
 
-def _put(number: float) -> ValueChange:
+def _put_number(number: float) -> ValueChange:
     """Return a change of one number, in a random place, into another."""
 
-    def change(values: Any, choice: Vector) -> Vector:
+    def change_number(values: Any, choice: Vector) -> Vector:
         """Put `number` in the place that the first draw chooses."""
-        vector = _vector(values)
-        vector[_random_place(vector, choice)] = number
+        vector = _copy_as_floats(values)
+        vector[_choose_place(vector, choice)] = number
         return vector
 
-    return change
+    return change_number
 
 
-def _add(size: float) -> ValueChange:
+def _shift_number(size: float) -> ValueChange:
     """Return a change of one number, in a random place, by a size with a random sign."""
 
-    def change(values: Any, choice: Vector) -> Vector:
+    def change_number(values: Any, choice: Vector) -> Vector:
         """Add the size in the place that the first draw chooses, with the sign of the second."""
-        vector = _vector(values)
-        vector[_random_place(vector, choice)] += size * _sign(choice)
+        vector = _copy_as_floats(values)
+        vector[_choose_place(vector, choice)] += size * _choose_sign(choice)
         return vector
 
-    return change
+    return change_number
 
 
-def _scale(factor: float) -> ValueChange:
+def _scale_numbers(factor: float) -> ValueChange:
     """Return a change of all numbers by a factor."""
 
-    def change(values: Any, _choice: Vector) -> Vector:
+    def change_numbers(values: Any, _choice: Vector) -> Vector:
         """Scale every number; the draws do not matter."""
-        return factor * _vector(values)
+        return factor * _copy_as_floats(values)
 
-    return change
+    return change_numbers
 
 
-def _bias(share: float) -> ValueChange:
+def _shift_wrench(share: float) -> ValueChange:
     """Return a change of one number of a wrench by a share of the sensor's range."""
-    add_share = _add(share)
+    shift_number = _shift_number(share)
 
-    def change(values: Any, choice: Vector) -> Vector:
+    def change_number(values: Any, choice: Vector) -> Vector:
         """Add the share of its own range, 100 to 200 N or 5 N m, to one number of six."""
-        return _vector(values) + FULL_SCALE * add_share(np.zeros(6), choice)
+        return _copy_as_floats(values) + FULL_SCALE * shift_number(np.zeros(6), choice)
 
-    return change
+    return change_number
 
 
-def _shorten(values: Any, _choice: Vector) -> Any:
+def _drop_last_number(values: Any, _choice: Vector) -> Any:
     """Leave out the last number: a reading of the wrong length."""
     return values[:-1]
 
@@ -302,31 +312,35 @@ def _make_constant(values: Any, _choice: Vector) -> Vector:
     return np.full(len(values), 0.5)
 
 
-def _turn(values: Any, choice: Vector) -> Vector:
+def _rotate_wrench(values: Any, choice: Vector) -> Vector:
     """Turn force and torque by 90 degrees about a random axis."""
-    axis = np.eye(3)[int(3 * choice[0])] * _sign(choice)
+    axis = np.eye(3)[int(3 * choice[0])] * _choose_sign(choice)
     rotation = Rotation.from_rotvec(0.5 * np.pi * axis).as_matrix()
-    force, torque = np.split(_vector(values), 2)
+    force, torque = np.split(_copy_as_floats(values), 2)
     return np.concatenate([rotation @ force, rotation @ torque])
 
 
-DELIVERIES = {  # by kind: how readings come, and whether that must be noticed
-    'dropped': (Delivery((None,)), True),
-    'delayed': (Delivery((4,)), True),
-    'stuck': (Delivery(stuck=True), True),
-    'out_of_order': (Delivery((25,)), True),
-    'duplicated': (Delivery((0, 1)), False),
-    'reordered': (Delivery((1, 0, 2, 0)), False),
-    'intermittent': (Delivery(loss=LOSS), False),
+# How readings come, by kind: what must be noticed, and what is bridged.
+NOTICED_DELIVERIES = {
+    'dropped': Delivery((None,)),
+    'delayed': Delivery((4,)),
+    'stuck': Delivery(stuck=True),
+    'out_of_order': Delivery((25,)),
+}
+BRIDGED_DELIVERIES = {
+    'duplicated': Delivery((0, 1)),
+    'reordered': Delivery((1, 0, 2, 0)),
+    'intermittent': Delivery(loss=LOSS),
 }
 
 
 def _delivery_faults() -> Iterator[Fault]:
     """Yield the faults of delivery of every stream of readings."""
     for stream, reactions in REACTIONS.items():
-        for kind, (delivery, is_noticed) in DELIVERIES.items():
-            declared = reactions if is_noticed else ()
-            yield Fault(kind, stream, delivery, declared)
+        for kind, delivery in NOTICED_DELIVERIES.items():
+            yield Fault(kind, stream, delivery, reactions)
+        for kind, delivery in BRIDGED_DELIVERIES.items():
+            yield Fault(kind, stream, delivery)
     for stream in REACTIONS:
         yield Fault('gap', stream, Delivery((None,)), ticks=(1, 51))
 
@@ -363,152 +377,157 @@ def _variance_fault(
 def _value_faults() -> Iterator[Fault]:
     """Yield the faults of the values in readings, and of values that stand still."""
     invalid = {
-        'nan': _put(NAN),
-        'infinite': _put(INF),
-        'huge': _put(1e30),
-        'wrong_count': _shorten,
+        'nan': _put_number(math.nan),
+        'infinite': _put_number(math.inf),
+        'huge': _put_number(1e30),
+        'wrong_count': _drop_last_number,
     }
     for field, declared in (('q', FLOAT), ('qd', HOLD)):
         for kind, change in invalid.items():
             yield _joint_fault(f'{kind}_{field}', field, change, declared)
-    yield from (
-        _wrench_fault('nan', _put(NAN)),
-        _wrench_fault('infinite', _put(-INF)),
-        _wrench_fault('huge', _put(1e30)),
-        _wrench_fault('wrong_count', _shorten),
-        _wrench_fault('saturated', _put(200.0), at_once=True),
-        _wrench_fault('biased', _add(5.0), ()),
-        _wrench_fault(
-            'sign_flipped', _scale(-1.0), phases=(REST, SLIDING), at_once=True
-        ),
-        _wrench_fault('rotated', _turn, ()),
-        _wrench_fault('scaled_x3', _scale(3.0), ()),
-        _wrench_fault('half', _scale(0.5), ()),
-        _variance_fault('nan', _put(NAN)),
-        _variance_fault('infinite', _put(INF)),
-        _variance_fault('zero', _put(0.0)),
-        _variance_fault('negative', _put(-1.0)),
-        _variance_fault('wrong_count', _shorten),
-        _variance_fault('huge', _put(1e30), ()),
-        _variance_fault('tiny', _put(1e-30), ()),
-        _joint_fault('biased_q', 'q', _add(0.05)),
-        _joint_fault('biased_qd', 'qd', _add(0.2), ()),
-        _joint_fault('saturated_qd', 'qd', _put(50.0), HOLD),
-        _joint_fault('frozen', 'q qd', None, phases=(SLIDING, APPROACH)),
-        _joint_fault('frozen_q', 'q', None, phases=(SLIDING, APPROACH)),
-        _joint_fault('frozen_qd', 'qd', None, ()),
-        _wrench_fault('frozen', None),
-        _variance_fault('frozen', None, ()),
-    )
+    flip_sign = _scale_numbers(-1.0)
+    pressed = (REST, SLIDING)
+    yield _wrench_fault('nan', _put_number(math.nan))
+    yield _wrench_fault('infinite', _put_number(-math.inf))
+    yield _wrench_fault('huge', _put_number(1e30))
+    yield _wrench_fault('wrong_count', _drop_last_number)
+    yield _wrench_fault('saturated', _put_number(200.0), at_once=True)
+    yield _wrench_fault('biased', _shift_number(5.0), ())
+    yield _wrench_fault('sign_flipped', flip_sign, phases=pressed, at_once=True)
+    yield _wrench_fault('rotated', _rotate_wrench, ())
+    yield _wrench_fault('scaled_x3', _scale_numbers(3.0), ())
+    yield _wrench_fault('half', _scale_numbers(0.5), ())
+    yield _variance_fault('nan', _put_number(math.nan))
+    yield _variance_fault('infinite', _put_number(math.inf))
+    yield _variance_fault('zero', _put_number(0.0))
+    yield _variance_fault('negative', _put_number(-1.0))
+    yield _variance_fault('wrong_count', _drop_last_number)
+    yield _variance_fault('huge', _put_number(1e30), ())
+    yield _variance_fault('tiny', _put_number(1e-30), ())
+    # A joint that stands still looks frozen at rest.
+    moving = (SLIDING, APPROACH)
+    yield _joint_fault('biased_q', 'q', _shift_number(0.05))
+    yield _joint_fault('biased_qd', 'qd', _shift_number(0.2), ())
+    yield _joint_fault('saturated_qd', 'qd', _put_number(50.0), HOLD)
+    yield _joint_fault('frozen', 'q qd', None, phases=moving)
+    yield _joint_fault('frozen_q', 'q', None, phases=moving)
+    yield _joint_fault('frozen_qd', 'qd', None, ())
+    yield _wrench_fault('frozen', None)
+    yield _variance_fault('frozen', None, ())
 
 
-def _jump(size: float) -> ClockError:
-    def shift(_since: float, _begin: float) -> float:
+def _set_clock_off(size: float) -> ClockError:
+    def shift_clock(_since: float, _begin: float) -> float:
         """Return the same shift [s] throughout the fault."""
         return size
 
-    return shift
+    return shift_clock
 
 
-def _drift(rate: float) -> ClockError:
-    def shift(since: float, _begin: float) -> float:
+def _let_clock_drift(rate: float) -> ClockError:
+    def shift_clock(since: float, _begin: float) -> float:
         """Return a shift [s] that grows from one period in the first tick on."""
         return rate * (since + PERIOD)
 
-    return shift
+    return shift_clock
 
 
-def _stand_still(since: float, _begin: float) -> float:
+def _stop_clock(since: float, _begin: float) -> float:
     """Return the shift [s] by which the clock stays where the fault began."""
     return -since
 
 
-def _restart(_since: float, begin: float) -> float:
+def _restart_clock(_since: float, begin: float) -> float:
     """Return the shift [s] to a clock that starts again near 0, as of a driver that comes back."""
     return 2.0 * PERIOD - begin
 
 
+def _clock_fault(
+    kind: str,
+    error: ClockError,
+    declared: tuple[str, ...] = STOPPED,
+    *,
+    stamps: bool = True,
+) -> Fault:
+    return Fault(kind, CLOCK, ClockShift(error, stamps), declared)
+
+
 def _clock_faults() -> Iterator[Fault]:
     """Yield the faults of the clock that a tick reads."""
-    yield from (
-        Fault('backwards', CLOCK, ClockShift(_jump(-0.05), stamps=False), STOPPED),
-        Fault('restarted', CLOCK, ClockShift(_restart), STOPPED),
-        Fault('nan', CLOCK, ClockShift(_jump(NAN), stamps=False), STOPPED),
-        Fault('stands_still', CLOCK, ClockShift(_stand_still, stamps=False), STOPPED),
-        Fault('too_fast', CLOCK, ClockShift(_drift(3.0)), STOPPED),
-        Fault('too_slow', CLOCK, ClockShift(_drift(-0.8)), STOPPED),
-        Fault('jump_ahead', CLOCK, ClockShift(_jump(0.1))),
-    )
+    yield _clock_fault('backwards', _set_clock_off(-0.05), stamps=False)
+    yield _clock_fault('restarted', _restart_clock)
+    yield _clock_fault('nan', _set_clock_off(math.nan), stamps=False)
+    yield _clock_fault('stands_still', _stop_clock, stamps=False)
+    yield _clock_fault('too_fast', _let_clock_drift(3.0))
+    yield _clock_fault('too_slow', _let_clock_drift(-0.8))
+    yield _clock_fault('jump_ahead', _set_clock_off(0.1), ())
 
 
 def _change_surface(method: str, value: float) -> PlantChange:
     """Return what calls a method of the contacts with one of the first two, and a value."""
 
-    def change(plant: Any, choice: Vector) -> None:
+    def call_method(plant: Any, choice: Vector) -> None:
         """Call the method with the first or second surface, as the first draw chooses."""
         getattr(plant.contacts, method)(int(2 * choice[0]), value)
 
-    return change
+    return call_method
 
 
 def _surface_fault(
     kind: str, method: str, begin: float, end: float | None = None
 ) -> Fault:
     """Return a fault of a surface, whose method is called at its beginning and at its end."""
-    undo = None if end is None else _change_surface(method, end)
+    undo = None
+    if end is not None:
+        undo = _change_surface(method, end)
     return Fault(kind, PLANT, PlantEdit(_change_surface(method, begin), undo))
 
 
-def _put_wall(number: int) -> PlantEdit:
+def _put_obstacle(number: int) -> PlantEdit:
     """Return what puts an obstacle before the tip, and takes it away."""
 
-    def begin(plant: Any, _choice: Vector) -> None:
+    def put_before_tip(plant: Any, _choice: Vector) -> None:
         """Put the obstacle 2 mm before the point that it is there for."""
         plant.contacts.put_before_tip(number, 2e-3)
 
-    def end(plant: Any, _choice: Vector) -> None:
+    def take_away(plant: Any, _choice: Vector) -> None:
         """Take the obstacle out of the way."""
         plant.contacts.shift_surface(number, FAR)
 
-    return PlantEdit(begin, end)
+    return PlantEdit(put_before_tip, take_away)
 
 
-def _limit_torque(factor: float) -> PlantEdit:
-    """Return what scales the torque that the drives can give, and undoes that."""
+def _scale_torque_limit(factor: float) -> PlantChange:
+    """Return what scales the torque that the drives give; the controller's own limit stays."""
 
-    def begin(plant: Any, _choice: Vector) -> None:
-        """Scale what the drives give; the controller's own limit stays."""
+    def scale_limit(plant: Any, _choice: Vector) -> None:
         plant.scale_torque_limit(factor)
 
-    def end(plant: Any, _choice: Vector) -> None:
-        """Give the drives their limit back."""
-        plant.scale_torque_limit(1.0 / factor)
-
-    return PlantEdit(begin, end)
+    return scale_limit
 
 
 def _plant_faults() -> Iterator[Fault]:
     """Yield the changes of surfaces, obstacles and drives."""
-    yield from (
-        _surface_fault('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0),
-        _surface_fault('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0),
-        _surface_fault('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0),
-        _surface_fault('surface_removed', 'shift_surface', 1.0, -1.0),
-        _surface_fault('surface_gone', 'shift_surface', 1.0),
-        _surface_fault('surface_jump_2mm_up', 'shift_surface', -2e-3),
-        _surface_fault('surface_jump_2mm_down', 'shift_surface', 2e-3),
-        _surface_fault('friction_x5', 'scale_friction', 5.0, 0.2),
-        Fault('side_wall', PLANT, _put_wall(SIDE_WALL)),
-        Fault('torque_limit_halved', PLANT, _limit_torque(0.5)),
-        Fault('torque_limit_to_a_fifth', PLANT, _limit_torque(0.2)),
-        # It is met once the slide has turned round, as long as it takes.
-        Fault(
-            'elbow_obstacle',
-            PLANT,
-            _put_wall(ELBOW_WALL),
-            ticks=(590, 600),
-            obstacle=ELBOW_WALL,
-        ),
+    yield _surface_fault('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0)
+    yield _surface_fault('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0)
+    yield _surface_fault('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0)
+    yield _surface_fault('surface_removed', 'shift_surface', 1.0, -1.0)
+    yield _surface_fault('surface_gone', 'shift_surface', 1.0)
+    yield _surface_fault('surface_jump_2mm_up', 'shift_surface', -2e-3)
+    yield _surface_fault('surface_jump_2mm_down', 'shift_surface', 2e-3)
+    yield _surface_fault('friction_x5', 'scale_friction', 5.0, 0.2)
+    yield Fault('side_wall', PLANT, _put_obstacle(SIDE_WALL))
+    halved = PlantEdit(_scale_torque_limit(0.5), _scale_torque_limit(2.0))
+    yield Fault('torque_limit_halved', PLANT, halved)
+    to_a_fifth = PlantEdit(_scale_torque_limit(0.2), _scale_torque_limit(5.0))
+    yield Fault('torque_limit_to_a_fifth', PLANT, to_a_fifth)
+    # It is met once the slide has turned round, as long as it takes.
+    yield Fault(
+        'elbow_obstacle',
+        PLANT,
+        _put_obstacle(ELBOW_WALL),
+        ticks=(590, 600),
+        obstacle=ELBOW_WALL,
     )
 
 
@@ -516,31 +535,33 @@ def _velocity_faults() -> Iterator[Fault]:
     """Yield the faults of speeds beside right positions, of all joints and of one."""
     fields = ('qd',)
     edits = {
-        'scaled_x0.02': ReadingEdit(fields, _scale(0.02)),
-        'scaled_x0.1': ReadingEdit(fields, _scale(0.1)),
-        'in_degrees': ReadingEdit(fields, _scale(180.0 / math.pi)),
-        'scaled_x60': ReadingEdit(fields, _scale(60.0)),
-        'sign_flipped': ReadingEdit(fields, _scale(-1.0)),
-        'zero': ReadingEdit(fields, _scale(0.0)),
-        'like_position': ReadingEdit(fields, _scale(1.0), source='q'),
+        'scaled_x0.02': ReadingEdit(fields, _scale_numbers(0.02)),
+        'scaled_x0.1': ReadingEdit(fields, _scale_numbers(0.1)),
+        'in_degrees': ReadingEdit(fields, _scale_numbers(180.0 / math.pi)),
+        'scaled_x60': ReadingEdit(fields, _scale_numbers(60.0)),
+        'sign_flipped': ReadingEdit(fields, _scale_numbers(-1.0)),
+        'zero': ReadingEdit(fields, _scale_numbers(0.0)),
+        'like_position': ReadingEdit(fields, _scale_numbers(1.0), source='q'),
         'constant': ReadingEdit(fields, _make_constant),
         'delayed': ReadingEdit(fields, None, age=25),
         'frozen': ReadingEdit(fields, None),
     }
-    noticed_at_rest = ('constant_qd', 'like_position_qd')
+    noticed_at_rest = {'constant_qd': STOPPED, 'like_position_qd': STOPPED}
     for kind, edit in edits.items():
-        for which in ('qd', 'qd_of_one'):
+        for which, single in (('qd', False), ('qd_of_one', True)):
             name = f'{kind}_{which}'
             if name == 'frozen_qd':  # one of the values above
                 continue
-            yield Fault(
-                name,
-                'joints',
-                replace(edit, single=which == 'qd_of_one'),
-                STOPPED if name in noticed_at_rest else (),
-                ticks=LASTING,
-                from_start=True,
-            )
+            action = replace(edit, single=single)
+            declared = noticed_at_rest.get(name, ())
+            yield _lasting_fault(name, 'joints', action, declared)
+
+
+def _lasting_fault(
+    kind: str, stream: str, action: ReadingEdit, declared: tuple[str, ...] = ()
+) -> Fault:
+    """Return a fault of readings that is there from the start."""
+    return Fault(kind, stream, action, declared, ticks=LASTING, from_start=True)
 
 
 def _publish_twice(plant: Any, _choice: Vector) -> None:
@@ -550,7 +571,9 @@ def _publish_twice(plant: Any, _choice: Vector) -> None:
 
     def step_in_turn(torque: Vector) -> Any:
         """Pass on every second torque, and the plant's first one [N m] in between."""
-        return step(torque if next(own_turns) else plant.initial_torque)
+        if next(own_turns):
+            return step(torque)
+        return step(plant.initial_torque)
 
     plant.step = step_in_turn
 
@@ -562,13 +585,12 @@ def _publish_once(plant: Any, _choice: Vector) -> None:
 
 def _driver_faults() -> Iterator[Fault]:
     """Yield the faults of what is between an arm and its controller: units, tare, publishers."""
-    wrenches = {'millinewtons': _scale(1e3), 'kilonewtons': _scale(1e-3)}
+    changes = {'millinewtons': _scale_numbers(1e3), 'kilonewtons': _scale_numbers(1e-3)}
     for share in (0.1, 0.5, 1.0):
-        wrenches[f'biased_by_{share:.0%}'] = _bias(share)
-    for kind, change in wrenches.items():
-        edit = ReadingEdit(('wrench',), change)
-        yield Fault(kind, 'wrench', edit, ticks=LASTING, from_start=True)
-    yield _joint_fault('wrapped_q', 'q', _add(2.0 * math.pi), ())
+        changes[f'biased_by_{share:.0%}'] = _shift_wrench(share)
+    for kind, change in changes.items():
+        yield _lasting_fault(kind, 'wrench', ReadingEdit(('wrench',), change))
+    yield _joint_fault('wrapped_q', 'q', _shift_number(2.0 * math.pi), ())
     yield Fault('second_publisher', PLANT, PlantEdit(_publish_twice, _publish_once))
 
 
@@ -578,19 +600,19 @@ def _breakdown_faults() -> Iterator[Fault]:
         yield Fault('raises', part, Breakdown(part))
 
 
+def _campaign_faults() -> Iterator[Fault]:
+    """Yield every fault, in an order on which its phase and seed in a study depend."""
+    yield from _delivery_faults()
+    yield from _value_faults()
+    yield from _clock_faults()
+    yield from _plant_faults()
+    yield from _breakdown_faults()
+    yield from _velocity_faults()
+    yield from _driver_faults()
+
+
 # By kind and input.
-FAULTS: dict[tuple[str, str], Fault] = {
-    (fault.kind, fault.input): fault
-    for fault in (
-        *_delivery_faults(),
-        *_value_faults(),
-        *_clock_faults(),
-        *_plant_faults(),
-        *_breakdown_faults(),
-        *_velocity_faults(),
-        *_driver_faults(),
-    )
-}
+FAULTS = {(fault.kind, fault.input): fault for fault in _campaign_faults()}
 
 
 def combine_faults(*faults: Fault) -> Fault:
@@ -602,8 +624,10 @@ def combine_faults(*faults: Fault) -> Fault:
     """
     if len(faults) == 1:
         return faults[0]
-    obstacles = [fault.obstacle for fault in faults if fault.obstacle is not None]
-    obstacle = obstacles[0] if obstacles else None
+    obstacle = None
+    for fault in faults:
+        if fault.obstacle is not None:
+            obstacle = fault.obstacle
     return Fault(TWO_AT_ONCE, '', None, obstacle=obstacle, parts=faults)
 
 
@@ -619,8 +643,8 @@ def draw_pairs(count: int, seed: int) -> list[tuple[tuple[str, str], ...]]:
     pairs: list[tuple[tuple[str, str], ...]] = []
     while len(pairs) < count:
         first, second = random.integers(len(known), size=2)
-        pair = (known[first], known[second])
-        inputs = {name for _, name in pair}
-        if len(inputs) == 2:
-            pairs.append(pair)
+        _, first_input = known[first]
+        _, second_input = known[second]
+        if first_input != second_input:
+            pairs.append((known[first], known[second]))
     return pairs

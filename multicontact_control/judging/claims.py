@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from statistics import median
@@ -51,14 +51,9 @@ def select_study_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
     It is the first of the estimators that has any run. Without any, the run to be judged is
     taken, if it is of one of them.
     """
+    candidates = _list_active_runs(runs[1:], mismatched=False)
     for estimator in estimators:
-        chosen = [
-            run
-            for run in runs[1:]
-            if run['estimator'] == estimator
-            and run['active_state_order'] > 0
-            and not _is_mismatched(run)
-        ]
+        chosen = [run for run in candidates if run['estimator'] == estimator]
         if chosen:
             return chosen
     return select_own_run(runs, estimators)
@@ -71,30 +66,33 @@ def select_mismatched_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
     The run to be judged is among them if it is one. An estimator's name may be the beginning of
     that of a variant.
     """
-    return [
-        run
-        for run in runs
-        if run['estimator'].startswith(tuple(estimators))
-        and run['active_state_order'] > 0
-        and _is_mismatched(run)
-    ]
+    names = tuple(estimators)
+    candidates = _list_active_runs(runs, mismatched=True)
+    return [run for run in candidates if run['estimator'].startswith(names)]
 
 
-def _list_pressed_contacts(run: Evidence) -> list[tuple[str, Evidence]]:
-    """Return the contacts: the paper speaks of normal forces, and couples may well be 0."""
-    return [
-        (name, contact)
-        for name, contact in run['contacts'].items()
-        if contact['stiffness_ratio'] is not None
-    ]
+def _list_active_runs(runs: Runs, *, mismatched: bool) -> Runs:
+    """Return the runs with active state whose surfaces are, or are not, mismatched."""
+    active = []
+    for run in runs:
+        if run['active_state_order'] > 0 and _is_mismatched(run) == mismatched:
+            active.append(run)
+    return active
+
+
+def _list_pressed_contacts(run: Evidence) -> Iterator[tuple[str, Evidence]]:
+    """Yield the contacts: the paper speaks of normal forces, and couples may well be 0."""
+    for name, contact in run['contacts'].items():
+        if contact['stiffness_ratio'] is not None:
+            yield name, contact
 
 
 def _is_mismatched(run: Evidence) -> bool:
     """Return whether any surface is not as stiff as modelled."""
-    contacts = _list_pressed_contacts(run)
-    return any(
-        abs(contact['stiffness_ratio'] - 1.0) > MISMATCH for _, contact in contacts
-    )
+    for _, contact in _list_pressed_contacts(run):
+        if abs(contact['stiffness_ratio'] - 1.0) > MISMATCH:
+            return True
+    return False
 
 
 def _divide(value: float | None, base: float | None) -> float | None:
@@ -105,7 +103,9 @@ def _divide(value: float | None, base: float | None) -> float | None:
 
 
 def _never_if_none(value: float | None) -> float:
-    return math.inf if value is None else value
+    if value is None:
+        return math.inf
+    return value
 
 
 def measure_rise(run: Evidence) -> Measurements:
@@ -118,10 +118,10 @@ def measure_rise(run: Evidence) -> Measurements:
     rises = []
     for name, contact in _list_pressed_contacts(run):
         for rise in contact['rises_s']:
+            was_held = run['stable'] is None
+            if was_held and rise is None:
+                return []
             rises.append((name, _never_if_none(rise) / run['designed_rise_s']))
-    was_held = run['stable'] is None
-    if was_held and any(math.isinf(rise) for _, rise in rises):
-        return []
     return rises
 
 
@@ -228,9 +228,10 @@ def measure_error_at_rest(run: Evidence) -> Measurements:
     """
     for name, contact in _list_pressed_contacts(run):
         rest = contact['rest']
-        if rest['command_n'] and run['stable'] is not None:
-            error = abs(rest['mean_n']) / rest['command_n']
-            yield name, error if run['stable'] else math.inf
+        if rest['command_n'] and run['stable']:
+            yield name, abs(rest['mean_n']) / rest['command_n']
+        elif rest['command_n'] and run['stable'] is False:
+            yield name, math.inf
 
 
 def measure_start_of_motion(run: Evidence) -> Measurements:
@@ -273,9 +274,8 @@ class Statement:
     measure: Callable[[Evidence], Measurements]  # of a run that tells
     what: str  # the numbers are
     form: str = ''  # of a number, with its unit
-    counted: str = (
-        ''  # in place of a number: what a run of which the number is 1 is called
-    )
+    # In place of a number: what a run of which the number is 1 is called.
+    counted: str = ''
     low: float = 0.0  # bounds of every number
     high: float = math.inf
     select: Callable[[Runs, Sequence[str]], Runs] = select_own_run  # runs that tell
@@ -292,7 +292,10 @@ class Statement:
         """
         chosen = self.select(runs, self.estimators)
         if not self.relative_to:
-            return [number for run in chosen for number in self._measure_known(run)]
+            numbers = []
+            for run in chosen:
+                numbers += self._measure_known(run)
+            return numbers
         base_runs = select_study_runs(runs, (self.relative_to,))
         worst = self._find_median_of_worst(chosen)
         base = self._find_median_of_worst(base_runs)
@@ -301,16 +304,22 @@ class Statement:
         return [('', worst / base)]
 
     def _measure_known(self, run: Evidence) -> Numbers:
-        measurements = self.measure(run)
-        return [(name, value) for name, value in measurements if value is not None]
+        numbers = []
+        for name, value in self.measure(run):
+            if value is not None:
+                numbers.append((name, value))
+        return numbers
 
     def _find_median_of_worst(self, runs: Runs) -> float | None:
         """Return the median over some runs of the largest number of each, None without any."""
-        numbers_of_runs = [self._measure_known(run) for run in runs]
-        worst = [
-            max(value for _, value in numbers) for numbers in numbers_of_runs if numbers
-        ]
-        return median(worst) if worst else None
+        worst = []
+        for run in runs:
+            numbers = self._measure_known(run)
+            if numbers:
+                worst.append(max(value for _, value in numbers))
+        if not worst:
+            return None
+        return median(worst)
 
     def describe_numbers(self, numbers: Numbers) -> str:
         """
@@ -326,8 +335,12 @@ class Statement:
             by_name.setdefault(name, []).append(value)
         ranges = []
         for name, values in by_name.items():
-            ends = [self._describe_number(end) for end in (min(values), max(values))]
-            ranges.append(f'{name} {" to ".join(dict.fromkeys(ends))}'.strip())
+            smallest = self._describe_number(min(values))
+            largest = self._describe_number(max(values))
+            text = smallest
+            if largest != smallest:
+                text = f'{smallest} to {largest}'
+            ranges.append(f'{name} {text}'.strip())
         return ', '.join(ranges)
 
     def _describe_number(self, value: float) -> str:
@@ -343,7 +356,8 @@ class Statement:
         one of them.
         """
         if self.counted:
-            return f'all {self.counted}' if self.low else f'none {self.counted}'
+            share = 'all' if self.low else 'none'
+            return f'{share} {self.counted}'
         low = self.form.format(self.low)
         high = self.form.format(self.high)
         if math.isinf(self.high):
@@ -405,7 +419,8 @@ def _judge_statement(statement: Statement, runs: Runs) -> Claim:
     holds = None
     if numbers:
         measured = statement.describe_numbers(numbers)
-        holds = all(statement.low <= value <= statement.high for _, value in numbers)
+        values = [value for _, value in numbers]
+        holds = statement.low <= min(values) and max(values) <= statement.high
     why = f'{statement.what}: {statement.describe_bounds()}'
     return Claim(statement.text, statement.paper, measured, holds, why)
 

@@ -39,6 +39,17 @@ BAND_HELD = 0.1  # s, for which the error stays within
 MEDIAN_TO_DEVIATION = 1.0484
 LOOK_BACK = 1.0  # s, before a push or a step, from which its noise is taken
 LASTING_PUSH = 0.5  # s; a push this long is to be controlled out while it lasts
+# Of a contact's part of the summary: what may not be known, in the order of the file.
+SUMMARY_KEYS = (
+    'step_rise_63_s',
+    'step_rise_over_design',
+    'step_overshoot_percent',
+    'step_settling_s',
+    'step_steady_error_n',
+    'true_losses',
+    'measured_losses',
+)
+ERROR_KEYS = ('true_error_rms_n', 'estimate_error_rms_n', 'measured_error_rms_n')
 
 
 class CommandedStep(NamedTuple):
@@ -195,17 +206,20 @@ class ContactMetrics:
         """Return from when on an error [N] stays within a band for 0.1 s [s], None if never."""
         rate = self.run.data.rate
         held = find_long_stretches(np.abs(error) <= band, round(BAND_HELD * rate))
-        return held[0][0] / rate if held else None
+        if not held:
+            return None
+        first, _ = held[0]
+        return first / rate
 
-    def rise_over_design(self, step: StepResponse | None) -> float | None:
+    def rise_over_design(self, step: StepResponse) -> float | None:
         """
         Return the rise time of a step over the designed one.
 
-        None without a step, if it never rose, if the contact has another law than the active
-        observer, and of a recording (without a URDF), which tells no gains.
+        None if it never rose, if the contact has another law than the active observer, and of a
+        recording (without a URDF), which tells no gains.
         """
         config = self.run.setup.controller
-        if step is None or step.rise_63_s is None or not config.robot.urdf:
+        if step.rise_63_s is None or not config.robot.urdf:
             return None
         contact = self.run.data.contact_names[self.run.leaders[self.column]]
         if config.force_law_of(contact) != 'aob':
@@ -308,37 +322,30 @@ class ContactMetrics:
 
     def summarise(self) -> dict[str, Any]:
         """Return the contact's part of ``summary.json``; its step is the largest one up."""
-        largest = self.largest_step
-        losses = None if self.is_couple else len(self.losses)
-        summary: dict[str, Any] = {
-            'step_rise_63_s': None,
-            'step_rise_over_design': self.rise_over_design(largest),
-            'step_overshoot_percent': None,
-            'step_settling_s': None,
-            'step_steady_error_n': None,
-            'true_losses': losses if self.has_truth else None,
-            'measured_losses': None if self.has_truth else losses,
-            'steps': [response._asdict() for response in self.step_responses],
-        }
+        summary: dict[str, Any] = dict.fromkeys(SUMMARY_KEYS)
+        summary['steps'] = [response._asdict() for response in self.step_responses]
+        if not self.is_couple:
+            key = 'true_losses' if self.has_truth else 'measured_losses'
+            summary[key] = len(self.losses)
         for name, window in self.asked_windows.items():
             summary[name] = self._summarise_window(window)
+        largest = self.largest_step
         if largest is not None:
-            summary['step_rise_63_s'] = largest.rise_63_s
-            summary['step_overshoot_percent'] = largest.overshoot_percent
-            summary['step_settling_s'] = largest.settling_s
-            summary['step_steady_error_n'] = largest.steady_error_n
+            summary |= {
+                'step_rise_63_s': largest.rise_63_s,
+                'step_rise_over_design': self.rise_over_design(largest),
+                'step_overshoot_percent': largest.overshoot_percent,
+                'step_settling_s': largest.settling_s,
+                'step_steady_error_n': largest.steady_error_n,
+            }
         return summary
 
     def _summarise_window(self, window: Mask) -> dict[str, float | None]:
         error = rms_within(window, self.error)
         median_variance = statistic_within(window, self.noise_variance, np.median)
-        summary: dict[str, float | None] = {
-            'true_error_rms_n': None,
-            'estimate_error_rms_n': None,
-            'measured_error_rms_n': None,
-            'noise_variance_median_n2': median_variance,
-            'contact_loss_fraction': self.find_lost_share(window),
-        }
+        summary: dict[str, float | None] = dict.fromkeys(ERROR_KEYS)
+        summary['noise_variance_median_n2'] = median_variance
+        summary['contact_loss_fraction'] = self.find_lost_share(window)
         if self.has_truth:
             estimate_error = self.run.data.alpha_est[:, self.column] - self.force
             summary['true_error_rms_n'] = error
@@ -366,10 +373,12 @@ class ContactMetrics:
             not, or the run was unstable by then.
 
         """
-        answers = (
-            self._measure_recovery(push, unstable_at) for push in self.run.pushes
-        )
-        return [answer for answer in answers if answer is not None]
+        answers = []
+        for push in self.run.pushes:
+            answer = self._measure_recovery(push, unstable_at)
+            if answer is not None:
+                answers.append(answer)
+        return answers
 
     def _measure_recovery(
         self, push: Push, unstable_at: float | None
@@ -392,10 +401,9 @@ class ContactMetrics:
         # The end of a run that ended before its time takes no recovery back.
         recovery = None
         if unstable_at is None or unstable_at >= min(until, last):
-            band = max(
-                BAND_OF_COMMAND * float(self.command[judged][0]),
-                BAND_OF_NOISE * float(np.std(self.error[before])),
-            )
+            band_of_command = BAND_OF_COMMAND * float(self.command[judged][0])
+            band_of_noise = BAND_OF_NOISE * float(np.std(self.error[before]))
+            band = max(band_of_command, band_of_noise)
             recovery = self._find_time_within(self.error[judged], band)
         answer = self.error[run.between(push.start, until)]
         return {

@@ -68,6 +68,12 @@ ARM_NUMBERS = {
     'max_fraction_of_limit': 'torque {:.0%} of its limit at most',
 }
 
+# What a graph may lose, by key of the summary's `timing`.
+LOSSES = (
+    ('unanswered_samples', 'samples', 'not answered'),
+    ('lost_messages', 'messages', 'lost'),
+)
+
 # Takes the time into a run [s], the measured forces [N] by contact, and the real-time factor.
 ShowProgress = Callable[..., None]
 
@@ -111,7 +117,9 @@ def show_progress(
         real-time factor if that is known.
 
     """
-    end = '' if duration is None else f' / {duration:.1f}'
+    end = ''
+    if duration is not None:
+        end = f' / {duration:.1f}'
     with make_progress_bar(
         '{task.description}',
         progress.BarColumn(),
@@ -189,10 +197,13 @@ def list_summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     """
     rows = []
     for number in NUMBERS:
-        label = f'{number.window}: {number.label}' if number.window else number.label
+        label = number.label
+        if number.window:
+            label = f'{number.window}: {label}'
         texts = []
-        for contact in summary['contacts'].values():
-            numbers = contact[number.window] if number.window else contact
+        for numbers in summary['contacts'].values():
+            if number.window:
+                numbers = numbers[number.window]
             texts.append(_describe_number(numbers.get(number.key), number.digits))
         if set(texts) != {'-'}:
             rows.append([label, *texts])
@@ -295,14 +306,10 @@ def _list_timing_lines(summary: Mapping[str, Any]) -> list[str]:
         )
     elif summary['mode'] == LOCKSTEP and timing.get('realtime_factor'):
         lines.append(f'{timing["realtime_factor"]:.2f} times real time')
-    unanswered = timing.get('unanswered_samples')
-    if unanswered:
-        text = f'warning: {format_count(unanswered, "samples")} not answered'
-        lines.append(_mark_up(text, OTHER_COLOUR))
-    lost = timing.get('lost_messages')
-    if lost:
-        text = f'warning: {format_count(lost, "messages")} lost'
-        lines.append(_mark_up(text, OTHER_COLOUR))
+    for key, noun, loss in LOSSES:
+        if timing.get(key):
+            text = f'warning: {format_count(timing[key], noun)} {loss}'
+            lines.append(_mark_up(text, OTHER_COLOUR))
     return lines
 
 

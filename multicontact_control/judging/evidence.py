@@ -56,12 +56,14 @@ def collect_evidence(run: RunMetrics, summary: Mapping[str, Any]) -> dict[str, A
         evidence = _collect_contact_evidence(contact)
         evidence['recoveries'] = contact.measure_recoveries(unstable_at)
         steps = summary['contacts'][contact.name]['steps']
-        evidence['rises_s'] = [
-            step['rise_63_s'] for step in steps if step['size_n'] > 0.0
-        ]
+        steps_up = [step for step in steps if step['size_n'] > 0.0]
+        evidence['rises_s'] = [step['rise_63_s'] for step in steps_up]
         contacts[contact.name] = evidence
-    # What the supervisor holds tells nothing of what the law alone would do.
-    stable = None if summary['verdict'] == HELD else summary['stable']
+    stable = summary['stable']
+    if summary['verdict'] == HELD:
+        # What the supervisor holds tells nothing of what the law alone would do.
+        stable = None
+    end = float(run.data.time[-1])
     return {
         'plant': setup.plant_name,
         'seed': setup.seed,
@@ -71,8 +73,7 @@ def collect_evidence(run: RunMetrics, summary: Mapping[str, Any]) -> dict[str, A
         'designed_rise_s': designed_rise(force),
         'stable': stable,
         'unstable_after_motion_s': unstable_after_motion,
-        'ran_in_motion': float(run.data.time[-1])
-        > run.motion_start + SETTLE_AFTER_START,
+        'ran_in_motion': end > run.motion_start + SETTLE_AFTER_START,
         'contacts': contacts,
         'motion': summary['motion'],
     }
@@ -108,9 +109,10 @@ def _collect_contact_evidence(contact: ContactMetrics) -> dict[str, Any]:
 def _find_stiffness_ratio(contact: ContactMetrics) -> float | None:
     """Return true over modelled stiffness of a contact, that farthest from 1; None of a couple."""
     setup = contact.run.setup
-    ratios = [
-        setup.plant.stiffness_of(column.name) / column.stiffness
-        for column in setup.controller.columns
-        if column.leader == contact.column
-    ]
-    return max(ratios, key=lambda ratio: abs(ratio - 1.0), default=None)
+    farthest = None
+    for column in setup.controller.columns:
+        if column.leader == contact.column:
+            ratio = setup.plant.stiffness_of(column.name) / column.stiffness
+            if farthest is None or abs(ratio - 1.0) > abs(farthest - 1.0):
+                farthest = ratio
+    return farthest

@@ -40,10 +40,7 @@ LEAST_LEVEL_SHARE = 0.06  # and from which on it need not stand upright
 
 
 def draw_figures(
-    run: RunMetrics,
-    summary: Mapping[str, Any],
-    folder: Path,
-    formats: Sequence[str] = FIGURE_FORMATS,
+    run: RunMetrics, summary: Mapping[str, Any], folder: Path
 ) -> list[Path]:
     """
     Draw the figures of a run into a folder and return the files.
@@ -56,8 +53,6 @@ def draw_figures(
         The content of its ``summary.json``: a verdict other than `stable` is a part of the titles.
     folder
         Where to write; it is made if it does not exist.
-    formats
-        Endings of the files, one of each figure.
 
     """
     title = describe_run(summary)
@@ -68,30 +63,30 @@ def draw_figures(
     paths = []
     for figure in describe_figures(run):
         count = len(figure.panels)
-        height = 6.0 if count > 1 else 4.5
+        height = 4.5
+        if count > 1:
+            height = 6.0
         sheet = Figure(figsize=(9.0, height), layout='constrained')
         sheet.suptitle(f'{figure.title}\n{title}', fontsize=10)
-        same_unit = len({panel.label for panel in figure.panels}) == 1
+        labels = {panel.label for panel in figure.panels}
+        same_unit = len(labels) == 1
         grid = sheet.subplots(count, 1, squeeze=False, sharex=True, sharey=same_unit)
         for panel, axes in zip(figure.panels, grid[:, 0]):
             _draw_panel(axes, panel, run.data.time, shaded)
         grid[-1, 0].set_xlabel('time [s]')
-        paths += _save_sheet(sheet, folder / figure.file, formats, dpi=130)
+        paths += _save_sheet(sheet, folder / figure.file, dpi=130)
     return paths
 
 
 def draw_side_by_side(
-    names: Sequence[str],
-    runs: Sequence[RunMetrics],
-    folder: Path,
-    formats: Sequence[str] = FIGURE_FORMATS,
+    names: Sequence[str], runs: Sequence[RunMetrics], folder: Path
 ) -> list[Path]:
     """
     Draw the forces of runs beside each other: all of a run, and its last step at rest.
 
     A column of panels for each run, a row for each contact, on common force axes; names stand
-    above the columns. The files are ``side_by_side`` in `folder`, one of each format, and are
-    returned.
+    above the columns. The files are ``side_by_side`` in `folder`, one of each of
+    `FIGURE_FORMATS`, and are returned.
     """
     count = max(len(run.contacts) for run in runs)
     sheet = Figure(figsize=(5.5 * len(runs), 2.4 * (count + 1)), layout='constrained')
@@ -104,24 +99,26 @@ def draw_side_by_side(
             _draw_panel(axes, panel, run.data.time)
         column[count - 1].set_xlabel('time [s]')
         _draw_last_step(column[count], run)
-    return _save_sheet(sheet, folder / 'side_by_side', formats, dpi=110)
+    return _save_sheet(sheet, folder / 'side_by_side', dpi=110)
 
 
-def _save_sheet(
-    sheet: Figure, path: Path, formats: Sequence[str], *, dpi: int
-) -> list[Path]:
-    """Write a sheet to a path without an ending in some formats, and return the files."""
+def _save_sheet(sheet: Figure, path: Path, *, dpi: int) -> list[Path]:
+    """Write a sheet to a path without an ending in all formats, and return the files."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    paths = [Path(f'{path}.{ending}') for ending in formats]
-    for each in paths:
-        sheet.savefig(each, dpi=dpi)
+    paths = []
+    for ending in FIGURE_FORMATS:
+        file = Path(f'{path}.{ending}')
+        sheet.savefig(file, dpi=dpi)
+        paths.append(file)
     return paths
 
 
 def _draw_last_step(axes: Axes, run: RunMetrics) -> None:
     """Draw the forces of all contacts around the last step at rest, over time since then."""
-    steps = [step.time_s for each in run.contacts for step in each.step_responses]
-    last = max(steps, default=0.0)
+    last = 0.0
+    for contact in run.contacts:
+        for step in contact.step_responses:
+            last = max(last, step.time_s)
     shown = run.between(last - SHOWN_BEFORE_STEP, last + SHOWN_AFTER_STEP)
     traces = []
     for contact in run.contacts:
@@ -141,10 +138,12 @@ def _draw_panel(
         axes.axvspan(span.start, span.end, color=WINDOW_COLOURS[span.name], zorder=0)
         share = (span.end - span.start) / (time[-1] - time[0])
         if share > LEAST_LABELLED_SHARE:
-            _label_span(axes, span, rotation=0.0 if share > LEAST_LEVEL_SHARE else 90.0)
+            _label_span(axes, span, upright=share <= LEAST_LEVEL_SHARE)
     for trace in panel.traces:
         axes.plot(time, trace.values, **_choose_style(trace))
-    axes.set(ylabel=panel.label, yscale='log' if panel.logarithmic else 'linear')
+    axes.set_ylabel(panel.label)
+    if panel.logarithmic:
+        axes.set_yscale('log')
     low, high = axes.get_ylim()
     margin = max(panel.least_span - (high - low), 0.0) / 2.0
     axes.set_ylim(low - margin, high + margin)
@@ -162,7 +161,10 @@ def _draw_panel(
         )
 
 
-def _label_span(axes: Axes, span: ShadedSpan, *, rotation: float) -> None:
+def _label_span(axes: Axes, span: ShadedSpan, *, upright: bool) -> None:
+    rotation = 0.0
+    if upright:
+        rotation = 90.0
     axes.annotate(
         span.name,
         (span.start, 1.0),
@@ -181,9 +183,10 @@ def _choose_style(trace: Trace) -> dict[str, Any]:
     style: dict[str, Any] = {
         'color': trace.colour,
         'label': trace.label,
-        'linestyle': '--' if trace.dashed else '-',
         'linewidth': 0.7,
     }
+    if trace.dashed:
+        style['linestyle'] = '--'
     if trace.broad:
         style |= {'linewidth': 4.0, 'alpha': 0.3, 'zorder': 1.5}
     elif trace.faint:

@@ -9,6 +9,7 @@ from pathlib import Path
 import signal
 from typing import Any, TYPE_CHECKING
 
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import count_compilations
 from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
@@ -65,22 +66,25 @@ def simulate_run(
     duration = setup.scenario.duration
     title = f'simulate {setup.scenario.name}'
     with show_progress(title, duration, CONSOLE) as show:
-        result = run_in_process(
-            setup,
-            lambda time, alpha: show(time, dict(zip(names, alpha))),
-            supervised=supervised,
-        )
+
+        def show_forces(time: float, alpha: Vector) -> None:
+            show(time, dict(zip(names, alpha)))
+
+        result = run_in_process(setup, show_forces, supervised=supervised)
         show(duration, {})
     if not result.data.ticks:
         raise RunError(f'the run ended at once: {result.ended_early}')
     result.data.save(folder)
     run = RunMetrics(result.data, setup)
+    events = None
+    if supervised:
+        events = result.events
     summary = summarise_run(
         run,
         mode=IN_PROCESS,
         timing={'kernels_compiled': count_compilations()},
         ended_early=result.ended_early,
-        events=result.events if supervised else None,
+        events=events,
     )
     return _leave_results(run, folder, summary)
 
@@ -138,6 +142,14 @@ def run_on_graph(
     from multicontact_control.runs.graph.spec import CONTROLLER, GraphSpec
 
     config = folder / CONFIG_FOLDER
+    ticks = 0
+    duration = None
+    if not setup.endless:
+        ticks = setup.ticks
+        duration = setup.scenario.duration
+    reference_file = None
+    if not setup.commanded_by_topic:
+        reference_file = config / 'reference.yaml'
     if setup.simulated or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters = simulation_parameters(setup)
@@ -150,26 +162,26 @@ def run_on_graph(
             setup.controller.robot.joint_names,
             setup.controller.wrench_input,
             node.effort_output_topic,
-            duration=None if setup.endless else setup.scenario.duration,
+            duration=duration,
         )
     parameters[CONTROLLER]['supervised'] = supervised
     ensure_compiled()
     spec = GraphSpec(
         out=folder,
-        ticks=0 if setup.endless else setup.ticks,
+        ticks=ticks,
         rate=setup.controller.rate,
         seed=setup.seed,
         parameter_files=setup.write(config),
-        reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
+        reference_file=reference_file,
         extra_parameters=parameters,
         **options,
     )
-    result = _run_graph_with_progress(spec, setup)
+    result = _run_graph_with_progress(spec, f'run {setup.scenario.name}', duration)
     if not result.controlled:
         CONSOLE.print(
             'ended before any sample was answered: there is nothing to report'
         )
-        return None, result.signals[0] if result.signals else None
+        return None, _find_first_signal(result)
     try:
         if len(result.signals) > 1:
             raise KeyboardInterrupt
@@ -179,6 +191,12 @@ def run_on_graph(
             f'report skipped; to write it: multicontact report {escape(str(folder))}'
         )
         return None, signal.SIGINT
+
+
+def _find_first_signal(result: GraphResult) -> int | None:
+    if result.signals:
+        return result.signals[0]
+    return None
 
 
 def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
@@ -194,7 +212,7 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     data = content.data
     interrupted = None
     if spec.ticks:
-        interrupted = result.signals[0] if result.signals else None
+        interrupted = _find_first_signal(result)
     else:  # it lasts as long as it has, in the files, too
         duration = max(SHORTEST, data.ticks / data.rate)
         scenario = setup.scenario.model_copy(update={'duration': duration})
@@ -224,13 +242,13 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     return _leave_results(run, spec.out, summary), interrupted
 
 
-def _run_graph_with_progress(spec: GraphSpec, setup: Setup) -> GraphResult:
-    """Run the graph and show how far it is."""
+def _run_graph_with_progress(
+    spec: GraphSpec, title: str, duration: float | None
+) -> GraphResult:
+    """Run the graph and show how far it is; `duration` is None for a run without an end [s]."""
     from multicontact_control.runs.graph.run import run_graph
 
     tell = partial(CONSOLE.print, markup=False)
-    duration = setup.scenario.duration if spec.ticks else None
-    title = f'run {setup.scenario.name}'
     with show_progress(title, duration, CONSOLE, 'starting the nodes') as show:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:

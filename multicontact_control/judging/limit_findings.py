@@ -119,10 +119,11 @@ def _find_contact_limits(contact: ContactMetrics) -> Iterator[Finding]:
         yield from _find_lasting(data, 'contact lost at one end', contact.losses)
     else:
         yield from _find_lasting(data, 'contact lost', contact.losses)
-        times = [float(data.time[begin]) for begin, _ in contact.losses]
-        repeated = find_repetition(times)
+        count = len(contact.losses)
+        begins = [begin for begin, _ in contact.losses]
+        repeated = find_repetition(data.time[begins].tolist())
         if repeated is not None:
-            yield Finding(f'contact lost {len(times)} times', repeated)
+            yield Finding(f'contact lost {count} times', repeated)
     yield from _find_oscillation(contact)
     yield from _find_excessive_force(contact)
 
@@ -169,8 +170,9 @@ def _find_lasting(
 ) -> Iterator[Finding]:
     """Yield what lasted for more than 0.1 s, with its longest time, and when it first had."""
     least = math.floor(LONGEST_LOSS * data.rate) + 1
-    lasting = [(begin, end) for begin, end in when if end - begin >= least]
+    lasting = [stretch for stretch in when if stretch[1] - stretch[0] >= least]
     if lasting:
-        longest = max(end - begin for begin, end in lasting) / data.rate
-        first = lasting[0][0] + least - 1
-        yield Finding(f'{text} for {longest:.2f} s', float(data.time[first]))
+        begins, ends = np.transpose(lasting)
+        longest = np.max(ends - begins) / data.rate
+        recognised = begins[0] + least - 1
+        yield Finding(f'{text} for {longest:.2f} s', float(data.time[recognised]))

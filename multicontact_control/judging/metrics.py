@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 import math
+from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.judging.contact_metrics import ContactMetrics
@@ -17,6 +18,7 @@ from multicontact_control.runs.scenario import Setup
 import numpy as np
 
 NO_TRUTH = 'no ground truth'
+MOTION_KEYS = ('position_rms_m', 'moving_position_rms_m', 'orientation_max_rad')
 
 
 class RunMetrics(RunSeries):
@@ -47,11 +49,7 @@ class RunMetrics(RunSeries):
         """
         data = self.data
         loaded = self.windows.loaded
-        summary: dict[str, float | None] = {
-            'position_rms_m': None,
-            'moving_position_rms_m': None,
-            'orientation_max_rad': None,
-        }
+        summary: dict[str, float | None] = dict.fromkeys(MOTION_KEYS)
         if loaded.any() and self.setup.controller.robot.urdf:
             normals = self._list_normals()
             free = np.eye(3) - np.linalg.pinv(normals) @ normals
@@ -65,14 +63,12 @@ class RunMetrics(RunSeries):
 
     def _list_normals(self) -> Matrix:
         """Return the normals of the contacts as rows, world axes, shape (k, 3)."""
+        surfaces: Mapping[str, Any] = self.setup.controller.contacts
+        names = self.setup.controller.contact_names
         if self.setup.simulated:
-            plant = self.setup.plant
-            return np.array(
-                [plant.surfaces[name].normal_world for name in plant.touched]
-            )
-        config = self.setup.controller
-        contacts = [config.contacts[name] for name in config.contact_names]
-        return np.array([contact.normal_world for contact in contacts])
+            surfaces = self.setup.plant.surfaces
+            names = self.setup.plant.touched
+        return np.array([surfaces[name].normal_world for name in names])
 
     @cached_property
     def least_torque_limit(self) -> Vector:

@@ -103,7 +103,9 @@ def _describe_plot(
 ) -> dict[str, Any]:
     """Return a panel as the script of the page takes it."""
     times, series = thin_series(time, [trace.values for trace in panel.traces])
-    smallest = 0.0 if panel.logarithmic else -np.inf
+    smallest = -np.inf
+    if panel.logarithmic:
+        smallest = 0.0
     columns = [np.round(times, 4).tolist()]
     for values in series:
         columns.append([_round_number(value, smallest) for value in values])
@@ -125,7 +127,9 @@ def _describe_plot(
 
 def _round_number(value: float, smallest: float) -> float | None:
     """Return a value with five digits, None if it is NaN or not above the smallest."""
-    return float(f'{value:.5g}') if value > smallest else None
+    if value > smallest:
+        return float(f'{value:.5g}')
+    return None
 
 
 def write_page(path: Path, title: str, body: str) -> None:
@@ -193,11 +197,11 @@ def render_claims(claims: Mapping[str, Sequence[Claim]]) -> str:
         claim = of_runs[0]
         said = (escape(claim.claim), escape(claim.paper))
         expected = escape(claim.why)
-        if all(each.holds is None for each in of_runs):
+        verdicts = {each.holds for each in of_runs}
+        if verdicts == {None}:
             others.append((*said, expected))
         else:
-            measured = [_render_measured(each) for each in of_runs]
-            judged.append((*said, *measured, expected))
+            judged.append((*said, *map(_render_measured, of_runs), expected))
     head = ('claim', 'in the paper', *map(escape, claims), 'expected')
     page = render_table(head, judged, numbers_from=len(head))
     if others:

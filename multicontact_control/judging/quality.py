@@ -47,26 +47,28 @@ def describe_quality(run: RunMetrics, motion_error: float | None) -> str:
 
 def _judge_steps(run: RunMetrics) -> Iterator[Quality]:
     """Yield rise, overshoot, settling and steady-state error of the steps of all contacts."""
-    largest_steps = [contact.largest_step for contact in run.contacts]
-    steps = [step for step in largest_steps if step is not None]
-    if not steps:
-        return
-    yield from _judge_rise(run)
-    overshoot = max(step.overshoot_percent for step in steps)
-    yield Quality(
-        f'overshoot at most {overshoot:.0f} %', overshoot <= DESIGNED_OVERSHOOT
-    )
+    overshoots = []
     settling_times = []
     steady_errors = []
     within_design = True
-    for step in steps:
+    for contact in run.contacts:
+        step = contact.largest_step
+        if step is None:
+            continue
+        overshoots.append(step.overshoot_percent)
         if step.settling_s is not None:
             settling_times.append(step.settling_s)
         if step.steady_error_n is not None:
             error = abs(step.steady_error_n)
             steady_errors.append(error)
             within_design &= error <= DESIGNED_STEADY_ERROR * abs(step.size_n)
-    if len(settling_times) < len(steps):
+    if not overshoots:
+        return
+    yield from _judge_rise(run)
+    largest_overshoot = max(overshoots)
+    text = f'overshoot at most {largest_overshoot:.0f} %'
+    yield Quality(text, largest_overshoot <= DESIGNED_OVERSHOOT)
+    if len(settling_times) < len(overshoots):
         yield Quality('a step never settled', False)
     else:
         yield Quality(f'settled within {max(settling_times):.2f} s', True)

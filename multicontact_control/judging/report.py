@@ -18,11 +18,7 @@ from multicontact_control.judging.display import (
     OTHER_COLOUR,
     VERDICT_COLOURS,
 )
-from multicontact_control.judging.figure_files import (
-    draw_figures,
-    draw_side_by_side,
-    FIGURE_FORMATS,
-)
+from multicontact_control.judging.figure_files import draw_figures, draw_side_by_side
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.results import LoadedRun
 from multicontact_control.judging.run_figures import (
@@ -74,8 +70,8 @@ def write_report(
     title = describe_run(runs[0].summary)
     if len(runs) > 1:
         title = f'{len(runs)} runs: {", ".join(names)}'
-        paths += draw_side_by_side(names, metrics, figures, FIGURE_FORMATS)
-        parts.append(_compare_runs(names, [run.summary for run in runs]))
+        paths += draw_side_by_side(names, metrics, figures)
+        parts.append(_compare_runs(names, runs))
         parts.append(page.render_image(paths[0], 'forces of the runs'))
     for number, run in enumerate(runs):
         folder = figures
@@ -83,7 +79,7 @@ def write_report(
             folder = figures / names[number]
             heading = f'{escape(names[number])}: {escape(describe_run(run.summary))}'
             parts.append(f'<h2>{heading}</h2>')
-        paths += draw_figures(metrics[number], run.summary, folder, FIGURE_FORMATS)
+        paths += draw_figures(metrics[number], run.summary, folder)
         parts += _render_run(run, metrics[number], f'run{number}', claims=claims)
     report = out / REPORT_FILE
     page.write_page(report, title, '\n'.join(parts))
@@ -93,7 +89,8 @@ def write_report(
 def _name_runs(runs: Sequence[LoadedRun]) -> list[str]:
     """Return the paths of the runs from the folder that they have in common."""
     folders = [run.folder.resolve() for run in runs]
-    common = os.path.commonpath([folder.parent for folder in folders])
+    parents = [folder.parent for folder in folders]
+    common = os.path.commonpath(parents)
     return [folder.relative_to(common).as_posix() for folder in folders]
 
 
@@ -103,7 +100,9 @@ def _render_run(
     """Return the parts of the page that are about one run; `prefix` is that of its figures."""
     setup = run.setup
     summary = run.summary
-    description = '' if setup.commanded_by_topic else setup.scenario.description
+    description = ''
+    if not setup.commanded_by_topic:
+        description = setup.scenario.description
     colour = VERDICT_COLOURS.get(summary['verdict'], OTHER_COLOUR)
     parts = [
         f'<p class=note>{escape(description)}</p>',
@@ -151,20 +150,27 @@ def _render_numbers(summary: Mapping[str, Any]) -> str:
     return f'{table}<p>{describe_arm(summary)}</p>'
 
 
-def _compare_runs(names: Sequence[str], summaries: Sequence[Mapping[str, Any]]) -> str:
+def _compare_runs(names: Sequence[str], runs: Sequence[LoadedRun]) -> str:
     """Return a table of the runs with a column for each: verdict, contacts and arm."""
-    columns = [_list_numbers(summary) for summary in summaries]
+    verdicts = ['verdict']
+    arms = ['arm']
+    columns = []
     labels: dict[str, dict[str, None]] = {}  # of each contact, of any run, in order
-    for numbers in columns:
+    for run in runs:
+        verdicts.append(escape(run.summary['verdict']))
+        arms.append(describe_arm(run.summary).replace(', ', '<br>'))
+        numbers = _list_numbers(run.summary)
+        columns.append(numbers)
         for contact, label in numbers:
             labels.setdefault(contact, {})[label] = None
-    rows = [['verdict', *(escape(summary['verdict']) for summary in summaries)]]
+    rows = [verdicts]
     for contact, labels_of_contact in labels.items():
         for label in labels_of_contact:
-            cells = [numbers.get((contact, label), '-') for numbers in columns]
-            rows.append([*map(escape, (f'{contact}: {label}', *cells))])
-    arms = [describe_arm(summary).replace(', ', '<br>') for summary in summaries]
-    rows.append(['arm', *arms])
+            cells = [f'{contact}: {label}']
+            for numbers in columns:
+                cells.append(numbers.get((contact, label), '-'))
+            rows.append([*map(escape, cells)])
+    rows.append(arms)
     return page.render_table(('', *map(escape, names)), rows)
 
 

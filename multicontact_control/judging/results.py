@@ -84,21 +84,24 @@ def load_setup(folder: Path) -> Setup:
     config = folder / CONFIG_FOLDER
     if not config.is_dir():
         raise ConfigError('run', 'a folder of `multicontact run` or `simulate`', folder)
-    simulated = (config / 'plant.yaml').is_file()
-    summary: dict[str, Any] = {'plant': 'unknown' if simulated else EXTERNAL, 'seed': 0}
-    if (folder / SUMMARY_FILE).is_file():
-        summary |= read_summary(folder)
 
     def read_file(
         model: Any, name: str, reader: Callable[[Path], Any] = read_parameters
     ) -> Any:
         return validate(model, reader(config / name), str(config / name))
 
+    summary: dict[str, Any] = {'plant': EXTERNAL, 'seed': 0}
+    plant = NO_PLANT
+    if (config / 'plant.yaml').is_file():
+        summary['plant'] = 'unknown'
+        plant = read_file(PlantConfig, 'plant.yaml')
+    if (folder / SUMMARY_FILE).is_file():
+        summary |= read_summary(folder)
     return Setup(
         scenario=read_file(ScenarioConfig, 'scenario.yaml', read_yaml),
         controller=read_file(ControllerConfig, 'controller.yaml'),
         noise_estimator=read_file(NoiseEstimatorConfig, 'noise_estimator.yaml'),
-        plant=read_file(PlantConfig, 'plant.yaml') if simulated else NO_PLANT,
+        plant=plant,
         plant_name=str(summary['plant']),
         seed=int(summary['seed']),
         urdf_dir=config,
@@ -273,7 +276,9 @@ def _find_rate(path: Path, messages: BagMessages) -> float:
     usual = np.abs(periods - median) <= 0.5 * median
     rate = 1e9 / float(np.mean(periods[usual]))
     whole = float(round(rate))
-    return whole if abs(rate - whole) <= WHOLE_RATE * rate else rate
+    if abs(rate - whole) <= WHOLE_RATE * rate:
+        return whole
+    return rate
 
 
 def infer_contact_types(names: Sequence[str]) -> dict[str, ContactType]:

@@ -38,7 +38,7 @@ def describe_figures(run: RunMetrics) -> list[RunFigure]:
     figures.append(_describe_motion(run))
     figures.append(_describe_variance(run))
     figures.append(_describe_stiffness(run))
-    known = [_drop_unknown(figure) for figure in figures]
+    known = map(_drop_unknown, figures)
     return [figure for figure in known if figure.panels]
 
 
@@ -61,8 +61,12 @@ def describe_force(contact: ContactMetrics) -> RunFigure:
     """
     data = contact.run.data
     column = contact.column
-    number = f'3_{column + 1}' if column >= 2 else f'{3 + column}'
-    label = 'force [N]' if contact.has_truth else f'force [N], {NO_TRUTH}'
+    number = f'{3 + column}'
+    if column >= 2:
+        number = f'3_{column + 1}'
+    label = 'force [N]'
+    if not contact.has_truth:
+        label = f'force [N], {NO_TRUTH}'
     desired = data.alpha_des[:, column]
     commanded = Trace('commanded', desired, COMMANDED_COLOUR, dashed=True)
     measured = Trace('measured', data.alpha_meas[:, column])
@@ -83,7 +87,9 @@ def _describe_motion(run: RunMetrics) -> RunFigure:
     data = run.data
     under_load = data.position_des[run.windows.loaded]
     known = under_load[np.isfinite(under_load).all(axis=1)]
-    axis = int(np.argmax(np.ptp(known, axis=0))) if len(known) else 0
+    axis = 0
+    if len(known):
+        axis = int(np.argmax(np.ptp(known, axis=0)))
     name = 'xyz'[axis]
     position = 1e3 * data.position[:, axis]
     desired = 1e3 * data.position_des[:, axis]

@@ -144,8 +144,12 @@ def find_run_folder(path: Path) -> Path:
     So every path that a user may name leads to the same run. It is not checked that the folder is
     one.
     """
-    folder = path.parent if path.is_file() else path
-    return folder.parent if folder.name == BAG_FOLDER else folder
+    folder = path
+    if folder.is_file():
+        folder = folder.parent
+    if folder.name == BAG_FOLDER:
+        folder = folder.parent
+    return folder
 
 
 def is_run_folder(path: Path) -> bool:

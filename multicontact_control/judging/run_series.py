@@ -72,15 +72,18 @@ class RunSeries:
         self.setup = setup
         self.missing = missing
         self.recorded = data.recorded()
-        self.leaders = list(
-            setup.controller.leading_columns
-        )  # normal force of each column
+        # Of each column, that of the normal force of its contact.
+        self.leaders = list(setup.controller.leading_columns)
         # A recording that lost its end has no say in what came of the last step.
+        self.lost_from = math.inf  # s
         end = data.ticks / data.rate
-        end_is_missing = any(stretch.end > end for stretch in missing)
-        self.lost_from = end if end_is_missing else math.inf  # s
+        for stretch in missing:
+            if stretch.end > end:
+                self.lost_from = end
+        self.motion_start = math.inf  # s
         motion = setup.scenario.reference.motion
-        self.motion_start = motion.start_time if motion else math.inf  # s
+        if motion:
+            self.motion_start = motion.start_time
 
     @cached_property
     def windows(self) -> Windows:
@@ -94,18 +97,24 @@ class RunSeries:
             planned = self._find_commanded_windows()
         else:
             planned = self._find_scenario_windows()
-        return Windows(*(window & self.recorded for window in planned))
+        return Windows(*np.logical_and(planned, self.recorded))
+
+    def _list_step_times(self) -> list[float]:
+        """Return when the force steps of the scenario come [s], in their order."""
+        return [step.time for step in self.setup.scenario.reference.force_steps]
 
     def _find_scenario_windows(self) -> Windows:
         """Return the windows that force steps and motion of the scenario set."""
         time = self.data.time
-        steps = [step.time for step in self.setup.scenario.reference.force_steps]
+        steps = self._list_step_times()
         steps_at_rest = [step for step in steps if step < self.motion_start]
         rest_start = max(steps_at_rest, default=math.inf) + SETTLE_AFTER_STEP
+        moving_start = self.motion_start + SETTLE_AFTER_START
+        load_start = min(steps, default=math.inf)
         return Windows(
             rest=(time >= rest_start) & (time < self.motion_start),
-            moving=time >= self.motion_start + SETTLE_AFTER_START,
-            loaded=time >= min(steps, default=math.inf),
+            moving=time >= moving_start,
+            loaded=time >= load_start,
         )
 
     def _find_commanded_windows(self) -> Windows:
@@ -153,7 +162,7 @@ class RunSeries:
         A run of the user's own robot has none that is known.
         """
         plant = self.setup.plant
-        return [Push(*push) for push in zip(plant.push_start, plant.push_duration)]
+        return list(map(Push, plant.push_start, plant.push_duration))
 
     @cached_property
     def command(self) -> Matrix:
@@ -175,10 +184,8 @@ class RunSeries:
         Only a simulated plant knows it. With less, a statistic over the known part would be that
         of a chosen part of the run.
         """
-        shares = [
-            self.find_known_share(i, true)
-            for i, true in enumerate(self.data.alpha_true.T)
-        ]
+        forces = enumerate(self.data.alpha_true.T)
+        shares = [self.find_known_share(i, true) for i, true in forces]
         return np.array(shares) >= LEAST_TRUTH_SHARE
 
     @cached_property
@@ -242,7 +249,7 @@ class RunSeries:
             events += self.setup.plant.push_start
         if not self.setup.commanded_by_topic:
             events.append(self.motion_start)
-            events += [step.time for step in self.setup.scenario.reference.force_steps]
+            events += self._list_step_times()
         later = [event for event in events if event > time + ROUNDING_TIME]
         return min(later, default=math.inf)
 
@@ -284,6 +291,8 @@ def find_long_stretches(mask: Mask, least: float) -> list[tuple[int, int]]:
     The end is the sample behind the last one, as of a slice. `least` need not be whole: it is
     often a time times the rate.
     """
-    return [
-        (begin, end) for begin, end in find_true_stretches(mask) if end - begin >= least
-    ]
+    stretches = []
+    for begin, end in find_true_stretches(mask):
+        if end - begin >= least:
+            stretches.append((begin, end))
+    return stretches

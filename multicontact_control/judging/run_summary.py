@@ -58,6 +58,7 @@ def summarise_run(
     all_remarks = [*_list_bounded_variances(run), *remarks]
     if run.missing:
         all_remarks.insert(0, describe_missing(run.missing))
+    missing = [{'from_s': begin, 'to_s': end} for begin, end in run.missing]
     return {
         'schema': SCHEMA,
         'scenario': setup.scenario.name,
@@ -82,9 +83,7 @@ def summarise_run(
         'ended_early': ended_early or None,
         'claims': [],
         'without_truth': run.list_without_truth(),
-        'missing': replace_nonfinite_numbers(
-            [{'from_s': begin, 'to_s': end} for begin, end in run.missing]
-        ),
+        'missing': replace_nonfinite_numbers(missing),
         'remarks': all_remarks,
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None,

@@ -91,7 +91,8 @@ def count_losses(run: RunSeries, log: Sequence[LogLine]) -> dict[str, int]:
     for before, event in _list_changes_under_load(run, events):
         states = zip(counts, before.contact_states, event.contact_states)
         for name, was, now in states:
-            counts[name] += was in TOUCHING_STATES and now in LOST_STATES
+            if was in TOUCHING_STATES and now in LOST_STATES:
+                counts[name] += 1
     return counts
 
 

@@ -147,8 +147,10 @@ def _describe_judged(run: RunMetrics) -> str:
     names: dict[str, list[str]] = {'true': [], 'measured': []}
     for contact in run.contacts:
         if (contact.normal_command > 0.0).any():
-            kind = 'true' if contact.has_truth else 'measured'
-            names[kind].append(contact.name)
+            if contact.has_truth:
+                names['true'].append(contact.name)
+            else:
+                names['measured'].append(contact.name)
     parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load']
     for kind, contacts in names.items():
         if contacts:
@@ -175,11 +177,10 @@ def _explain_unjudged(run: RunMetrics, ended_early: str) -> str:
             )
         unknown = find_true_stretches(contact.pressed & contact.unknown)
         if unknown:
-            rate = run.data.rate
-            gaps = [
-                Missing(float(run.data.time[begin]), end / rate)
-                for begin, end in unknown
-            ]
+            gaps = []
+            for begin, end in unknown:
+                begin_time = float(run.data.time[begin])
+                gaps.append(Missing(begin_time, end / run.data.rate))
             text = describe_missing(gaps, 'force')
             return f'{contact.name}: {text}; what is there passed no limit'
     without_truth = run.list_without_truth()

@@ -52,11 +52,12 @@ def combine_factors(part: PartConfig) -> Iterator[Combination]:
     ]
     for plant in part.plants:
         for chosen in product(*settings_of_factors):
+            labels = {}
             settings: dict[str, Any] = {}
-            for _, values in chosen:
+            for name, (label, values) in zip(part.factors, chosen):
+                labels[name] = label
                 settings |= values
-            labels = [label for label, _ in chosen]
-            yield Combination(plant, dict(zip(part.factors, labels)), settings)
+            yield Combination(plant, labels, settings)
 
 
 def split_file_choices(
@@ -97,10 +98,10 @@ def lay_over_arguments(
 
     """
     by_section = overrides.nest_overrides(values, base, 'factors.')
-    by_argument = {
-        overrides.ARGUMENTS[section]: nested for section, nested in by_section.items()
-    }
-    return {**arguments, **by_argument}
+    laid_over = dict(arguments)
+    for section, nested in by_section.items():
+        laid_over[overrides.ARGUMENTS[section]] = nested
+    return laid_over
 
 
 def plan_runs(study: StudyConfig) -> list[Cell]:
@@ -120,7 +121,9 @@ def plan_runs(study: StudyConfig) -> list[Cell]:
     absent: dict[str, Any] = {}
     for part in study.parts.values():
         for name, factor in part.factors.items():
-            absent[name] = 1.0 if factor.multiples_of else ''
+            absent[name] = ''
+            if factor.multiples_of:
+                absent[name] = 1.0
     cells = []
     for title, part in study.parts.items():
         for combination in combine_factors(part):
@@ -195,7 +198,7 @@ def _plan_run(
         if factor.multiples_of:
             parameter = factor.sets or name
             multiple = settings.pop(parameter)
-            settings |= _multiples(factor, parameter, multiple, base)
+            settings |= _list_multiples(factor, parameter, multiple, base)
     return RunJob(
         lay_over_arguments(arguments, {**values, **settings}, base),
         part.supervised,
@@ -209,22 +212,21 @@ def _resolve_job(job: RunJob, title: str, combination: Combination) -> Setup:
         return job.setup()
     except ConfigError as error:
         field = error.field
-        where = ', '.join(
-            f'{name} = {value}' for name, value in combination.labels.items()
-        )
-        if where:
-            field = f'{title} ({where}): {field}'.strip()
+        factors = [f'{name} = {value}' for name, value in combination.labels.items()]
+        if factors:
+            field = f'{title} ({", ".join(factors)}): {field}'.strip()
         raise error.as_config_error(field) from None
 
 
 def _has_values(setup: Setup, expected: Mapping[str, Any]) -> bool:
     """Return whether parameters of a setup have the values that a condition expects."""
-    return all(
-        overrides.read_value(name, setup) == value for name, value in expected.items()
-    )
+    for name, value in expected.items():
+        if overrides.read_value(name, setup) != value:
+            return False
+    return True
 
 
-def _multiples(
+def _list_multiples(
     factor: FactorConfig, parameter: str, multiple: float, base: Setup
 ) -> dict[str, float]:
     """

@@ -60,12 +60,14 @@ class FactorConfig(Config):
 
     @model_validator(mode='before')
     @classmethod
-    def _spell_out(cls, given: Any) -> Any:
+    def _spell_out_fields(cls, given: Any) -> Any:
         """Return the fields of a list of values, or of levels by label."""
         if isinstance(given, (list, tuple)):
             return {'values': given}
         if isinstance(given, Mapping) and not given.keys() <= cls.model_fields.keys():
-            levels = {str(label): level or {} for label, level in given.items()}
+            levels = {}
+            for label, level in given.items():
+                levels[str(label)] = level or {}
             return {'levels': levels}
         return given
 
@@ -106,8 +108,10 @@ class FactorConfig(Config):
             return list(self.levels.items())
         values = self.values
         if not values and self.start is not None and self.stop is not None:
-            space = np.geomspace if self.spacing == 'log' else np.linspace
-            numbers = space(self.start, self.stop, self.count)
+            if self.spacing == 'log':
+                numbers = np.geomspace(self.start, self.stop, self.count)
+            else:
+                numbers = np.linspace(self.start, self.stop, self.count)
             values = tuple(float(f'{number:.12g}') for number in numbers)
         return [(value, {self.sets or name: value}) for value in values]
 
@@ -115,10 +119,11 @@ class FactorConfig(Config):
         """Return the factor with other values; of one with levels, those with these labels."""
         if not self.levels:
             return self.model_copy(update={'values': tuple(values)})
-        chosen = {str(value) for value in values}
-        levels = {
-            label: level for label, level in self.levels.items() if label in chosen
-        }
+        chosen = set(map(str, values))
+        levels = {}
+        for label, level in self.levels.items():
+            if label in chosen:
+                levels[label] = level
         return self.model_copy(update={'levels': levels})
 
 
@@ -180,7 +185,9 @@ class PartConfig(Config):
     @field_validator('seeds', mode='before')
     @classmethod
     def _count_seeds(cls, value: Any) -> Any:
-        return tuple(range(value)) if isinstance(value, int) else value
+        if isinstance(value, int):
+            return tuple(range(value))
+        return value
 
 
 class ColumnConfig(Config):
@@ -351,7 +358,7 @@ def apply_choices(
         if 'plant' in choices:
             plants = choices['plant']
         elif robot:
-            plants = _plants_of_robot(robot, part.plants)
+            plants = _list_plants_of_robot(robot, part.plants)
         else:
             plants = part.plants
         names = [plant_source(plant, robot).name for plant in plants]
@@ -393,7 +400,7 @@ def _choose_values(
     return chosen
 
 
-def _plants_of_robot(robot: str, names: Sequence[str]) -> list[str]:
+def _list_plants_of_robot(robot: str, names: Sequence[str]) -> list[str]:
     """Return those plants of some names that a robot has, its default one if it has none."""
     known = find_robot(robot)
-    return [name for name in names if known.plant_name(name)] or ['']
+    return list(filter(known.plant_name, names)) or ['']

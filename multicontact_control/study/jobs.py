@@ -126,20 +126,17 @@ def outcome_key(kind: str, setup: Setup, **content: Any) -> str:
         What else decides the outcome, as JSON values.
 
     """
-    configurations = {
-        name: getattr(setup, name).model_dump(mode='json')
-        for name in ('scenario', 'controller', 'noise_estimator', 'plant')
-    }
     urdf = (setup.urdf_dir / setup.controller.robot.urdf).read_bytes()
-    whole = {
+    whole: dict[str, Any] = {
         'kind': kind,
         'code': hash_code(),
         'seed': setup.seed,
         'urdf': hashlib.sha256(urdf).hexdigest(),
         'arm': repr(find_robot(setup.plant.robot).arm),
-        **configurations,
-        **content,
     }
+    for name in ('scenario', 'controller', 'noise_estimator', 'plant'):
+        whole[name] = getattr(setup, name).model_dump(mode='json')
+    whole |= content
     text = json.dumps(whole, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
@@ -200,13 +197,13 @@ def read_finished(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]
     """
     finished = {}
     for key in keys:
-        path = _cell_file(folder, key)
+        path = _find_cell_file(folder, key)
         if path.exists():
             finished[key] = read_json_file(path)['metrics']
     return finished
 
 
-def _cell_file(folder: Path, key: str) -> Path:
+def _find_cell_file(folder: Path, key: str) -> Path:
     return folder / CELLS / f'{key}.json'
 
 
@@ -278,7 +275,7 @@ def run_jobs(
                 'wall_s': wall_time,
                 'metrics': metrics,
             }
-            replace_json_file(_cell_file(folder, key), content)
+            replace_json_file(_find_cell_file(folder, key), content)
             finished[key] = metrics
             progress.advance(bar)
             is_next_tenth = 10 * len(finished) % len(jobs) < 10

@@ -10,6 +10,7 @@ from multicontact_control.errors import RunError
 from multicontact_control.judging.contact_metrics import LASTING_PUSH
 from multicontact_control.judging.evidence import collect_evidence
 from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.run_modes import IN_PROCESS
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import flatten_parameters, Setup
 import numpy as np
@@ -64,19 +65,22 @@ def measure_run(
         if result.data.ticks < SHORTEST:
             raise RunError(result.ended_early)
         run = RunMetrics(result.data, setup)
+        events = None
+        if supervised:
+            events = result.events
         summary = summarise_run(
             run,
-            mode='in_process',
+            mode=IN_PROCESS,
             timing={},
             ended_early=result.ended_early,
-            events=result.events if supervised else None,
+            events=events,
         )
         return {
             'summary': summary,
             'evidence': collect_evidence(run, summary),
-            'final_error_share': _final_error_share(run),
-            'activity_nm': _torque_activity(run),
-            'neighbour_n': _neighbour_error(run, surface_gone),
+            'final_error_share': _measure_final_error(run),
+            'activity_nm': _measure_activity(run),
+            'neighbour_n': _measure_neighbour_error(run, surface_gone),
             'error': None,
         }
     except Exception as problem:
@@ -94,14 +98,14 @@ def _move_surface(
     leaves, returns = gone
     moves = {round(leaves * rate): AWAY, round(returns * rate): -AWAY}
 
-    def disturb(loop: Any) -> None:
+    def move_surface(loop: Any) -> None:
         if loop.tick in moves:
             loop.plant.contacts.shift_surface(last_surface, moves[loop.tick])
 
-    return disturb
+    return move_surface
 
 
-def _final_error_share(run: RunMetrics) -> float:
+def _measure_final_error(run: RunMetrics) -> float:
     """Return the largest force error of the last 0.5 s, relative to the task's command."""
     at_end = run.data.time > run.data.time[-1] - END_TIME
     desired = run.command[at_end]
@@ -111,7 +115,7 @@ def _final_error_share(run: RunMetrics) -> float:
     return float(np.max(errors / desired))
 
 
-def _torque_activity(run: RunMetrics) -> float:
+def _measure_activity(run: RunMetrics) -> float:
     """Return the rms change of torque per period of the joint with the largest [N m]."""
     window = run.windows.moving
     if not window.any():
@@ -122,7 +126,9 @@ def _torque_activity(run: RunMetrics) -> float:
     return float(np.sqrt((change * change).mean(axis=0)).max())
 
 
-def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float | None:
+def _measure_neighbour_error(
+    run: RunMetrics, gone: tuple[float, float] | None
+) -> float | None:
     """Return the largest mean error over 12 ms of the first force around that time [N]."""
     if gone is None:
         return None
@@ -153,11 +159,17 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     for contact in summary.get('contacts', {}).values():
         steps += contact['steps']
     contacts = list(evidence.get('contacts', {}).values())
-    pushes = []
+    short_pushes = []
+    lasting_pushes = []
     for contact in contacts:
-        pushes += [push for push in contact['recoveries'] if not push['moving']]
-    short_pushes = [push for push in pushes if push['duration'] < LASTING_PUSH]
-    lasting_pushes = [push for push in pushes if push['duration'] >= LASTING_PUSH]
+        for push in contact['recoveries']:
+            if push['moving']:
+                continue
+            if push['duration'] < LASTING_PUSH:
+                short_pushes.append(push)
+            else:
+                lasting_pushes.append(push)
+    pushes = short_pushes + lasting_pushes
     row = {
         'stable': bool(summary.get('stable', False)),
         'verdict': summary.get('verdict'),
@@ -168,14 +180,14 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     }
     for window, figure in WINDOW_FIGURES:
         figures = [contact[window] for contact in contacts]
-        row[f'{window}_{figure}'] = _largest_of(figures, figure)
+        row[f'{window}_{figure}'] = _find_largest(figures, figure)
     row |= {
-        'push_peak_n': _largest_of(pushes, 'peak'),
-        'push_off_s': _latest_of(pushes, 'recovery'),
-        'short_push_s': _latest_of(short_pushes, 'recovery'),
-        'lasting_push_s': _latest_of(lasting_pushes, 'recovery'),
-        'rise_s': _latest_of(steps, 'rise_63_s'),
-        'overshoot_percent': _largest_of(steps, 'overshoot_percent'),
+        'push_peak_n': _find_largest(pushes, 'peak'),
+        'push_off_s': _find_latest(pushes, 'recovery'),
+        'short_push_s': _find_latest(short_pushes, 'recovery'),
+        'lasting_push_s': _find_latest(lasting_pushes, 'recovery'),
+        'rise_s': _find_latest(steps, 'rise_63_s'),
+        'overshoot_percent': _find_largest(steps, 'overshoot_percent'),
         'activity_nm': metrics.get('activity_nm'),
         'neighbour_n': metrics.get('neighbour_n'),
     }
@@ -187,13 +199,16 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     return row
 
 
-def _largest_of(records: Iterable[Metrics], name: str) -> float | None:
+def _find_largest(records: Iterable[Metrics], name: str) -> float | None:
     """Return the largest of the values that are known, None if there is none."""
-    values = [record[name] for record in records]
-    return max([value for value in values if value is not None], default=None)
+    values = []
+    for record in records:
+        if record[name] is not None:
+            values.append(record[name])
+    return max(values, default=None)
 
 
-def _latest_of(records: Iterable[Metrics], name: str) -> float | None:
+def _find_latest(records: Iterable[Metrics], name: str) -> float | None:
     """Return the largest time, infinite if an event never came, None if there are no times."""
     times = [record[name] for record in records]
     if None in times:

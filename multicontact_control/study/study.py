@@ -29,8 +29,12 @@ from rich.console import Console
 
 DPI = 130  # of the figure
 MOST_WARNINGS = 20
-STUDY_FILE, TABLE_FILE, CSV_FILE = 'study.json', 'study.parquet', 'study.csv'
-PAGE_FILE, FIGURE_FILE, PRINTED_FIGURE_FILE = 'study.html', 'study.png', 'study.pdf'
+STUDY_FILE = 'study.json'
+TABLE_FILE = 'study.parquet'
+CSV_FILE = 'study.csv'
+PAGE_FILE = 'study.html'
+FIGURE_FILE = 'study.png'
+PRINTED_FIGURE_FILE = 'study.pdf'
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +146,11 @@ class Study:
                 rows.append({**cell.factors, **row, 'key': cell.key})
         frame = self.complete_table(pd.DataFrame(rows))
         factors = list(cells[0].factors)
-        units = {
-            name: find_unit(name, cells[0].job.setup())
-            for name in factors
-            if is_parameter_name(name)
-        }
+        setup = cells[0].job.setup()
+        units = {}
+        for name in factors:
+            if is_parameter_name(name):
+                units[name] = find_unit(name, setup)
         frame.attrs = {'factors': factors, 'units': units, 'version': __version__}
         return Results(cells, frame, metrics)
 
@@ -192,20 +196,20 @@ class Study:
         page.write_page(
             folder / PAGE_FILE,
             f'Study {self.config.name}',
-            self._page_body(results, image),
+            self._render_page_body(results, image),
         )
 
-    def _page_body(self, results: Results, image: str) -> str:
+    def _render_page_body(self, results: Results, image: str) -> str:
         """Return the page below its title as HTML: findings, figure, tables, remarks."""
         config = self.config
         parts = [
             f'<p>{escape(config.description)}</p>',
-            _bullet_list(self.describe_findings(results)),
+            _render_bullet_list(self.describe_findings(results)),
             image,
         ]
         for section, lines in table.make_listing(results.frame, config).items():
-            head = [escape(name) for name in lines]
-            rows = [[escape(text) for text in line] for line in lines.to_numpy()]
+            head = list(map(escape, lines))
+            rows = [list(map(escape, line)) for line in lines.to_numpy()]
             cells = page.render_table(head, rows, numbers_from=lines.attrs['labels'])
             parts.append(f'<h2>{escape(section)}</h2>{cells}')
         parts.append(
@@ -215,14 +219,14 @@ class Study:
         warnings = self.list_warnings(results)
         if warnings:
             title = format_count(len(warnings), 'remarks')
-            remarks = page.render_details(title, _bullet_list(warnings))
+            remarks = page.render_details(title, _render_bullet_list(warnings))
         parts.append(remarks)
         for heading, text in self.further_sections(results).items():
             parts.append(f'<h2>{escape(heading)}</h2>{text}')
         return '\n'.join(parts)
 
 
-def _bullet_list(texts: Sequence[str]) -> str:
+def _render_bullet_list(texts: Sequence[str]) -> str:
     """Return plain texts as a list in HTML."""
     items = [f'<li>{escape(text)}</li>' for text in texts]
     return f'<ul>{"".join(items)}</ul>'
@@ -230,33 +234,30 @@ def _bullet_list(texts: Sequence[str]) -> str:
 
 def run_study(
     study: Study,
-    out: Path | None = None,
+    folder: Path,
+    console: Console,
     *,
     jobs: int = 0,
     dask: str = '',
-    dry_run: bool = False,
     overwrite: bool = False,
-    console: Console | None = None,
-) -> Results | None:
+) -> Results:
     """
-    Run a study, write its files, and show and return what came out; None of a dry run.
+    Run a study, write its files into a folder, and show and return what came out.
 
     Parameters
     ----------
     study
         What is run.
-    out
-        The folder, ``runs/<name>`` if not given; what is finished there is not run again.
+    folder
+        Of the results; what is finished there is not run again.
+    console
+        Where progress and results are shown.
     jobs
         How many at once; see `run_jobs`.
     dask
         Address of the scheduler of a cluster that runs them instead; see `dask_client`.
-    dry_run
-        Whether the factors are only listed.
     overwrite
         Whether what is finished is run again.
-    console
-        Where progress and results are shown.
 
     Raises
     ------
@@ -264,26 +265,17 @@ def run_study(
         If the study is not acceptable, before anything is run.
 
     """
-    console = console or Console(highlight=False)
     name = study.config.name
-    folder = out or Path('runs') / name
     cells = study.plan_cells()
-    keys = {cell.key for cell in cells}
     with dask_client(dask) as client:
-        if not dry_run:
-            prepare_folder(folder, overwrite=overwrite)
-        console.print(
-            f'study {name}: {format_count(len(keys), "jobs")}, '
-            f'{len(read_finished(folder, keys))} of them finished before'
-        )
-        if dry_run:
-            _show_factors(cells, console)
-            return None
+        prepare_folder(folder, overwrite=overwrite)
+        _show_progress(name, cells, folder, console)
 
         def run_cells(chosen: Sequence[Cell]) -> Results:
             """Run the jobs of cells that are not finished, and return the table of all of them."""
+            jobs_by_key = {cell.key: cell.job for cell in chosen}
             metrics = run_jobs(
-                {cell.key: cell.job for cell in chosen},
+                jobs_by_key,
                 folder,
                 workers=jobs,
                 client=client,
@@ -308,12 +300,34 @@ def run_study(
     return results
 
 
-def _show_factors(cells: Sequence[Cell], console: Console) -> None:
-    """Print every factor that has values, with the values of the cells."""
+def _show_progress(
+    name: str, cells: Sequence[Cell], folder: Path, console: Console
+) -> None:
+    """Print how many jobs the cells have, and how many are finished in a study's folder."""
+    keys = {cell.key for cell in cells}
+    console.print(
+        f'study {name}: {format_count(len(keys), "jobs")}, '
+        f'{len(read_finished(folder, keys))} of them finished before'
+    )
+
+
+def show_plan(study: Study, folder: Path, console: Console) -> None:
+    """
+    Print how much of a study is finished in a folder, and every factor with its values.
+
+    Nothing is run, and the folder need not exist. Factors without values are left out.
+
+    Raises
+    ------
+    ConfigError
+        If the study is not acceptable.
+
+    """
+    cells = study.plan_cells()
+    _show_progress(study.config.name, cells, folder, console)
     for factor in cells[0].factors:
         texts = dict.fromkeys(str(cell.factors[factor]) for cell in cells)
-        values = [text for text in texts if text]
-        if values:
-            console.print(
-                f'  {factor}: {", ".join(values)}', markup=False, soft_wrap=True
-            )
+        texts.pop('', None)
+        if texts:
+            line = f'  {factor}: {", ".join(texts)}'
+            console.print(line, markup=False, soft_wrap=True)

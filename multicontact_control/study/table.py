@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from multicontact_control.judging.panels import CURVE_COLOURS
+from multicontact_control.judging.panels import choose_colour
 from multicontact_control.runs.overrides import EVERY
 from multicontact_control.study.config import ColumnConfig, StudyConfig
 import numpy as np
@@ -22,7 +22,7 @@ from rich.markup import escape
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-MARKERS = 'osD^vPp'  # one for each of CURVE_COLOURS
+MARKERS = 'osD^vPp'  # as many as there are colours of curves
 CROSS: dict[str, Any] = {
     'linestyle': '',
     'marker': 'x',
@@ -54,7 +54,7 @@ def numeric_columns(frame: pd.DataFrame, value: str) -> pd.DataFrame:
     ``contacts.*.rest.rms`` stands for every contact. Truths count as 1 and 0; columns of text are
     left out, so the result may be empty.
     """
-    pattern = '[^.*]+'.join(re.escape(part) for part in value.split(EVERY))
+    pattern = '[^.*]+'.join(map(re.escape, value.split(EVERY)))
     columns = frame.filter(regex=f'^{pattern}$')
     return columns.select_dtypes(['number', 'bool']).astype(float)
 
@@ -101,30 +101,30 @@ def make_listing(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     line.
     """
     columns = resolve_columns(frame, study)
-    factors = [
-        name
-        for name in study.lines or frame.attrs['factors']
-        if name not in (*NOT_FACTORS, *study.sections)
-        and frame[name].astype(str).ne('').any()
-    ]
-    heads = [_factor_head(frame, study, name) for name in factors]
+    elsewhere = {*NOT_FACTORS, *study.sections}
+    factors = []
+    for name in study.lines or frame.attrs['factors']:
+        has_values = frame[name].astype(str).ne('').any()
+        if has_values and name not in elsewhere:
+            factors.append(name)
+    heads = [_describe_factor(frame, study, name) for name in factors]
     by_section = [name for name in study.sections if frame[name].nunique() > 1]
     listing = {}
-    for title, section in _groups(frame, by_section):
+    for title, section in _group_rows(frame, by_section):
         lines = []
-        for values, runs in _groups(section, factors):
+        for values, runs in _group_rows(section, factors):
             line = dict(zip(heads, map(format_value, values)))
             for column in columns:
-                line[column.name] = _fill_cell(column, runs, study)
+                line[column.name] = _describe_cell(column, runs, study)
             lines.append(line)
         shown = pd.DataFrame(lines)
         shown.attrs = {'labels': len(factors)}
-        words = [str(value) for value in title]
-        listing[', '.join(word for word in words if word)] = shown
+        words = filter(None, map(str, title))
+        listing[', '.join(words)] = shown
     return listing
 
 
-def _name_and_unit(
+def _find_name_and_unit(
     frame: pd.DataFrame, study: StudyConfig, factor: str
 ) -> tuple[str, str]:
     """Return what a factor is called in tables and sentences, and its unit, '' without one."""
@@ -133,15 +133,19 @@ def _name_and_unit(
     return name, frame.attrs['units'].get(factor, '')
 
 
-def _factor_head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
+def _describe_factor(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
     """Return what a factor is called in tables and figures, with its unit in brackets."""
-    name, unit = _name_and_unit(frame, study, factor)
-    return f'{name} [{unit}]' if unit else name
+    name, unit = _find_name_and_unit(frame, study, factor)
+    if unit:
+        return f'{name} [{unit}]'
+    return name
 
 
-def _equation(frame: pd.DataFrame, study: StudyConfig, factor: str, text: str) -> str:
+def _write_equation(
+    frame: pd.DataFrame, study: StudyConfig, factor: str, text: str
+) -> str:
     """Return a factor and its values as they stand in a sentence: name = values unit."""
-    name, unit = _name_and_unit(frame, study, factor)
+    name, unit = _find_name_and_unit(frame, study, factor)
     return f'{name} = {text} {unit}'.rstrip()
 
 
@@ -153,25 +157,26 @@ def describe_good_runs(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
     sentences; subjects of which the same can be said share one. There are sentences for each
     plant.
     """
-    varied = [
-        name
-        for name in frame.attrs['factors']
-        if name not in NOT_FACTORS and frame[name].nunique() > 1
-    ]
-    names = [name for name in varied if not is_numeric_dtype(frame[name])]
-    subject = names[:1]
-    conditions = [name for name in varied if name not in subject]
+    subject: list[str] = []
+    conditions = []
+    for name in frame.attrs['factors']:
+        if name in NOT_FACTORS or frame[name].nunique() < 2:
+            continue
+        if subject or is_numeric_dtype(frame[name]):
+            conditions.append(name)
+        else:
+            subject.append(name)
     subjects_by_statement: dict[str, list[str]] = {}
-    for (plant, *subjects), runs in _groups(frame, ['plant', *subject]):
+    for (plant, *subjects), runs in _group_rows(frame, ['plant', *subject]):
         good = runs[study.truth]
         equations = []
         for name in conditions:
             values = list_good_values(runs, name, study.truth)
             if runs[name].nunique() > 1 and values != NO_GOOD_VALUE:
-                equations.append(_equation(frame, study, name, values))
-        if good.all():
-            count, condition = 'all runs', 'with'
-        else:
+                equations.append(_write_equation(frame, study, name, values))
+        count = 'all runs'
+        condition = 'with'
+        if not good.all():
             count = f'{int(good.sum())} of {len(runs)} runs'
             condition = 'in every run with'
         statement = f'{study.truth} on {plant} in {count}'
@@ -181,7 +186,9 @@ def describe_good_runs(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
         same += map(str, subjects or ['The arm'])
     sentences = []
     for statement, subjects in subjects_by_statement.items():
-        verb = 'are' if len(subjects) > 1 else 'is'
+        verb = 'is'
+        if len(subjects) > 1:
+            verb = 'are'
         sentences.append(f'{", ".join(subjects)} {verb} {statement}.')
     return sentences
 
@@ -194,7 +201,7 @@ def list_good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
     """
     known = frame[frame[factor].astype(str).ne('')]
     is_good = known.groupby(factor)[truth].all()
-    values = [format_value(value) for value in is_good.index[is_good]]
+    values = list(map(format_value, is_good.index[is_good]))
     if not values:
         return NO_GOOD_VALUE
     places = np.flatnonzero(is_good)
@@ -204,7 +211,7 @@ def list_good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
     return ', '.join(values)
 
 
-def _groups(
+def _group_rows(
     frame: pd.DataFrame, factors: Sequence[str]
 ) -> Iterable[tuple[tuple[Any, ...], pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
@@ -222,9 +229,11 @@ def format_value(value: Any) -> str:
     """
     if value is None or value != value:
         return NO_VALUE
-    if isinstance(value, float):
-        return f'{value:.4g}' if abs(value) < 1e4 else f'{value:.0f}'
-    return str(value)
+    if not isinstance(value, float):
+        return str(value)
+    if abs(value) < 1e4:
+        return f'{value:.4g}'
+    return f'{value:.0f}'
 
 
 def _format_statistic(values: pd.Series, column: ColumnConfig) -> str:
@@ -241,7 +250,7 @@ def _format_statistic(values: pd.Series, column: ColumnConfig) -> str:
     return f'{value:.{column.digits}f}'
 
 
-def _fill_cell(column: ColumnConfig, runs: pd.DataFrame, study: StudyConfig) -> str:
+def _describe_cell(column: ColumnConfig, runs: pd.DataFrame, study: StudyConfig) -> str:
     """Return the text of a column in the line that stands for some runs."""
     if column.part:
         runs = runs[runs['part'] == column.part]
@@ -271,9 +280,10 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     tables = []
     for section, frame in listing.items():
         name = section or title
+        heading = name
         for columns in _columns_that_fit(frame, width):
-            tables.append(_terminal_table(name, frame, columns))
-            name = f'{section or title}, continued'
+            tables.append(_terminal_table(heading, frame, columns))
+            heading = f'{name}, continued'
     return tables
 
 
@@ -282,7 +292,7 @@ def _columns_that_fit(frame: pd.DataFrame, width: int) -> list[list[str]]:
     names = list(frame)
     rooms = []
     for name in names:
-        longest_word = max(len(word) for word in _head_lines(name))
+        longest_word = max(map(len, _split_head(name)))
         rooms.append(2 + max(longest_word, frame[name].str.len().max()))
     labels = frame.attrs['labels']
     room_of_labels = sum(rooms[:labels])
@@ -309,17 +319,16 @@ def _terminal_table(title: str, frame: pd.DataFrame, columns: Sequence[str]) -> 
         pad_edge=False,
     )
     for name in shown:
-        text.add_column(
-            escape('\n'.join(_head_lines(name))),
-            overflow='fold',
-            justify='left' if name in labels else 'right',
-        )
+        head = '\n'.join(_split_head(name))
+        text.add_column(escape(head), overflow='fold', justify='right')
+    for column in text.columns[: len(labels)]:
+        column.justify = 'left'
     for line in shown.itertuples(index=False):
         text.add_row(*map(escape, line))
     return text
 
 
-def _head_lines(name: str) -> list[str]:
+def _split_head(name: str) -> list[str]:
     """Return the head of a column, a word on each line."""
     return re.split(r' (?![^[]*\]|/)', name)
 
@@ -355,12 +364,12 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     factor are lines, its numbers an axis. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
-    columns = [
-        column
-        for column in resolve_columns(frame, study)
-        if column.aggregate in ('median', 'share')
-        and largest_of_columns(frame, column.value).nunique() > 1
-    ][:MOST_SHOWN]
+    columns = []
+    for column in resolve_columns(frame, study):
+        varies = largest_of_columns(frame, column.value).nunique() > 1
+        if varies and column.aggregate in ('median', 'share'):
+            columns.append(column)
+    columns = columns[:MOST_SHOWN]
     if not (study.figure and names and columns):
         return None
     factor = names[0]
@@ -401,15 +410,15 @@ def group_series(
     markers come again. Without factors there is one series of all runs.
     """
     series = []
-    for number, (values, runs) in enumerate(_groups(frame, factors)):
+    for number, (values, runs) in enumerate(_group_rows(frame, factors)):
         words = []
         for factor, value in zip(factors, values):
             word = format_value(value)
             if factor != 'part':
-                word = _equation(frame, study, factor, word)
+                word = _write_equation(frame, study, factor, word)
             words.append(word)
         style = {
-            'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
+            'color': choose_colour(number),
             'marker': MARKERS[number % len(MARKERS)],
             'markersize': 5,
         }
@@ -435,7 +444,7 @@ def _draw_numbers(
     )
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
         for each in series:
-            values, without_good_run = _points(
+            values, without_good_run = _find_points(
                 each.on_plant(plant).runs, factor, column, study
             )
             values = values.sort_index()
@@ -454,8 +463,8 @@ def _draw_numbers(
         if known[0] > 0.0 and known[-1] / known[0] >= WIDE_RANGE:
             axes.set_xscale('log')
             axes.xaxis.set_major_formatter('{x:g}')
-        axes.set_ylabel(_axis_title(column), fontsize=8)
-        axes.set_xlabel(_factor_head(frame, study, factor), fontsize=8)
+        axes.set_ylabel(_describe_axis(column), fontsize=8)
+        axes.set_xlabel(_describe_factor(frame, study, factor), fontsize=8)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.3)
         axes.label_outer()
@@ -472,15 +481,11 @@ def _draw_names(
     series: Sequence[Series],
 ) -> Figure:
     """Draw points beside the names of a factor: a row of panels for each plant."""
-    names = {
-        plant: list(runs[factor].unique())
-        for plant, runs in frame.groupby('plant', sort=False)
-    }
+    names = frame.groupby('plant', sort=False)[factor].unique()  # by plant
     room = 0.25 + ROOM_OF_SERIES * len(series)  # inches, of a name
-    heights = [room * len(known) + 0.3 for known in names.values()]
-    figure = Figure(
-        figsize=(2.4 * len(columns) + 2.0, sum(heights) + 1.3), layout='constrained'
-    )
+    heights = room * names.map(len) + 0.3
+    width = 2.4 * len(columns) + 2.0
+    figure = Figure(figsize=(width, heights.sum() + 1.3), layout='constrained')
     grid = figure.subplots(
         len(names),
         len(columns),
@@ -493,16 +498,11 @@ def _draw_names(
         grid.flat, product(names.items(), columns)
     ):
         on_plant = [each.on_plant(plant) for each in series]
-        places = _places_of_names(on_plant, factor, known)
+        places = _find_places_of_names(on_plant, factor, known)
         for each in on_plant:
-            values, without_good_run = _points(each.runs, factor, column, study)
-            axes.plot(
-                values,
-                [places[name, each.label] for name in values.index],
-                linestyle='',
-                label=each.label,
-                **each.style,
-            )
+            values, without_good_run = _find_points(each.runs, factor, column, study)
+            levels = [places[name, each.label] for name in values.index]
+            axes.plot(values, levels, linestyle='', label=each.label, **each.style)
             for name in without_good_run:
                 axes.plot(
                     0.0,
@@ -516,16 +516,16 @@ def _draw_names(
         labels = [fill(str(name), NAME_WIDTH) for name in known]
         axes.set_yticks(range(len(known)), labels)
         axes.set_ylim(len(known) - 0.5, -0.5)
-        axes.set_xlabel(_axis_title(column), fontsize=9)
+        axes.set_xlabel(_describe_axis(column), fontsize=9)
         axes.tick_params(labelsize=9)
         axes.grid(axis='x', alpha=0.4)
         axes.label_outer()
-    for axes, plant in zip(grid[:, 0], names):
+    for axes, plant in zip(grid[:, 0], names.index):
         axes.set_title(f'plant {plant}', fontsize=10, loc='left')
     return figure
 
 
-def _places_of_names(
+def _find_places_of_names(
     series: Sequence[Series],
     factor: str,
     names: Sequence[Any],
@@ -540,13 +540,15 @@ def _places_of_names(
     return places
 
 
-def _axis_title(column: ColumnConfig) -> str:
+def _describe_axis(column: ColumnConfig) -> str:
     """Return what an axis with the values of a column is called, in several lines."""
     name = column.name.replace('*', 'worst').replace('.', '\n')
-    return f'share of {name} runs' if column.aggregate == 'share' else name
+    if column.aggregate == 'share':
+        return f'share of {name} runs'
+    return name
 
 
-def _points(
+def _find_points(
     runs: pd.DataFrame,
     factor: str,
     column: ColumnConfig,

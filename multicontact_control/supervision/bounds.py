@@ -27,7 +27,7 @@ from multicontact_control.algebra import (
 from multicontact_control.arrays import Bytes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
-from multicontact_control.dynamics.operational_space import mobility_gradient
+from multicontact_control.dynamics.operational_space import compute_mobility_gradient
 from multicontact_control.flags import JOINT_BOUNDED, SINGULARITY_BOUNDED
 from multicontact_control.records import (
     Contact,
@@ -183,7 +183,7 @@ def add_reach_bounds(
         if size > NEAR_SINGULAR_ROOT:
             continue
         gradient, closing = rows[count], 0.0
-        mobility_gradient(
+        compute_mobility_gradient(
             jacobian,
             space.L[:n, :n],
             space.Y[:n],

@@ -225,7 +225,7 @@ class InputState(Record, Protocol):
 class ReadingFinding(Record, Protocol):
     """What was found of one reading, or of the time."""
 
-    problem: int  # what is wrong with it, see `PROBLEMS`
+    problem: int  # what is wrong with it, see `PROBLEMS` of `inputs`
     stale: bool  # whether the newest valid one is too old, or the time is wrong
 
 
@@ -696,7 +696,7 @@ def check_inputs(
     Parameters
     ----------
     stages
-        One record of `INPUT_STAGE`, its `input` filled in; `state` and `found` are changed.
+        One record of `INPUT_STAGE`, its `sample` filled in; `state` and `found` are changed.
     q, velocity
         Where joint positions [rad] and velocities [rad/s] go, shape (n,).
     joints, controls, contacts

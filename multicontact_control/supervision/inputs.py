@@ -232,8 +232,16 @@ class Inputs:
 
     @property
     def sensor_fault(self) -> str:
-        """Return what is wrong with the wrench of this tick, empty for nothing."""
-        return PROBLEMS[max(self._found['wrench']['problem'], FINE)]
+        """Return what is wrong with the wrench of this tick, empty for nothing or a short gap."""
+        return self._name_problem('wrench')
+
+    def _name_problem(self, part: str) -> str:
+        """Return what is wrong with a part, `stale` where nothing valid has come for too long."""
+        finding = self._found[part]
+        problem = PROBLEMS[max(finding['problem'], FINE)]
+        if finding['stale'] and not problem:
+            return 'stale'
+        return problem
 
     @property
     def velocities_refuted(self) -> bool:
@@ -336,10 +344,10 @@ class Inputs:
         causes = []
         rejected = []
         for part in PARTS:
-            problem = PROBLEMS[max(found[part]['problem'], FINE)]
+            problem = self._name_problem(part)
             if found[part]['stale']:
-                causes.append(f'{part}_{problem or "stale"}')
-            if problem and part in READINGS:
+                causes.append(f'{part}_{problem}')
+            if found[part]['problem'] > FINE and part in READINGS:
                 rejected.append(f'{part}_{problem}')
         unusable = self._torques['unusable_samples'] >= REPORTED
         return InputVerdict(

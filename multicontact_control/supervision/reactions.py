@@ -11,9 +11,9 @@ from multicontact_control.config.supervision import RELEASE_FORCE
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.operational_space import (
+    compute_mobility_and_inertia,
     INERTIA_SPACE,
     InertiaSpace,
-    mobility_and_inertia,
 )
 from multicontact_control.records import Law, Records, Task
 from multicontact_control.supervision.velocities import (
@@ -129,7 +129,7 @@ def hold_torque(
     upper = np.triu(mass_matrix)
     torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
     inertia: InertiaSpace = np.zeros(1, dtype=INERTIA_SPACE)[0]
-    singular, _ = mobility_and_inertia(
+    singular, _ = compute_mobility_and_inertia(
         mass_matrix, jacobian, laws['singular_mobility'][0], inertia
     )
     if singular < 0.0:

@@ -363,28 +363,26 @@ class ControlPanel:
     def _add_surface(self, name: str, state: SurfaceState) -> None:
         gui = self._gui
         least, largest = STIFFNESS_RANGE
+        smoothest, roughest = FRICTION_RANGE
+        marks = [(math.log10(value), text) for value, text in STIFFNESS_MARKS.items()]
         with gui.add_folder(f'surfaces.{name}'):
-            elements = SurfaceElements(
-                stiffness=gui.add_number('stiffness [N/m]', state.stiffness),
-                scale=gui.add_multi_slider(
-                    'log scale',
-                    min=math.log10(min(least, state.stiffness)),
-                    max=math.log10(max(largest, state.stiffness)),
-                    step=0.01,
-                    initial_value=_scale_exponents(state.stiffness),
-                    marks=tuple(
-                        (math.log10(value), text)
-                        for value, text in STIFFNESS_MARKS.items()
-                    ),
-                ),
-                friction=gui.add_slider(
-                    'friction',
-                    min=min(FRICTION_RANGE[0], state.friction),
-                    max=max(FRICTION_RANGE[1], state.friction),
-                    step=0.01,
-                    initial_value=state.friction,
-                ),
+            stiffness = gui.add_number('stiffness [N/m]', state.stiffness)
+            scale = gui.add_multi_slider(
+                'log scale',
+                min=math.log10(min(least, state.stiffness)),
+                max=math.log10(max(largest, state.stiffness)),
+                step=0.01,
+                initial_value=_scale_exponents(state.stiffness),
+                marks=tuple(marks),
             )
+            friction = gui.add_slider(
+                'friction',
+                min=min(smoothest, state.friction),
+                max=max(roughest, state.friction),
+                step=0.01,
+                initial_value=state.friction,
+            )
+        elements = SurfaceElements(stiffness, scale, friction)
         self._surfaces[name] = elements
 
         def read_surface(_changed: object) -> CommandValues:

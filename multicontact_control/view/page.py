@@ -141,12 +141,7 @@ class Page:
         gui.main_panel.set_width(CONTROLS_WIDTH)
         panel = gui.add_panel()
         with panel.add_tab('Curves'):
-            self.curves = CurveCharts(
-                gui,
-                scene.config.column_names,
-                scene.config.robot.joint_names,
-                scene.true_forces,
-            )
+            self.curves = CurveCharts(gui, scene)
         panel.dock_left()
         panel.set_width(CURVES_WIDTH)
         self.status.content = _format_lines(
@@ -248,7 +243,7 @@ class Page:
             if self._curves_due and now >= self._next_curves:
                 self._next_curves = now + CURVES_TIME
                 self._curves_due = False
-                self.curves.draw()
+                self.curves.draw_curves()
 
     def _show_texts(self, snapshot: Snapshot) -> None:
         scene = self.source.scene

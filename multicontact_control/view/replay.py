@@ -10,7 +10,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Matrix
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.judging.results import load_setup
@@ -36,7 +36,7 @@ from multicontact_control.runs.recording import (
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
-from multicontact_control.view.curves import block_extremes
+from multicontact_control.view.curves import find_block_extremes
 import numpy as np
 
 HISTORY_TIME = 60.0  # s, of curves and events that a jump brings along
@@ -77,7 +77,9 @@ class ReplaySource:
         config = scene.config
         self._data = data
         self._place_times = [time for time, _ in places]
-        self._places = [points for _, points in places] or [{}]
+        self._places: list[SurfacePlaces] = [{}]
+        if places:
+            self._places = [points for _, points in places]
         self._normals = np.array(
             [config.contacts[name].normal_world for name in config.contact_names]
         )
@@ -150,7 +152,7 @@ class ReplaySource:
         first, end = np.searchsorted(
             self._points[:, 0], (self._shown_until, time), side='right'
         )
-        event = self._events[max(0, bisect_right(self._event_times, latest) - 1)]
+        event = self._events[_find_last(self._event_times, latest)]
         new_events = []
         for mark_time, text in self.scene.marks:
             if self._shown_until < mark_time <= latest:
@@ -171,9 +173,7 @@ class ReplaySource:
             reasons=event.causes + event.limits,
             points=self._points[first:end],
             events=tuple(new_events),
-            places_world=self._places[
-                max(0, bisect_right(self._place_times, time) - 1)
-            ],
+            places_world=self._places[_find_last(self._place_times, time)],
             playing=self._playing,
             anew=self._jumped,
         )
@@ -221,6 +221,11 @@ class ReplaySource:
         """Do nothing: a replay has read its files before it plays, and starts no process."""
 
 
+def _find_last(times: Sequence[float], time: float) -> int:
+    """Return the index of the last time that is not after another; 0 before the first."""
+    return max(0, bisect_right(times, time) - 1)
+
+
 def find_force_requests(
     data: RunData, force_columns: Sequence[int]
 ) -> list[SupervisorEvent]:
@@ -259,7 +264,6 @@ def compute_curve_points(data: RunData, config: ControllerConfig) -> Matrix:
     Each block of samples makes two points, its least and greatest values, so that an oscillation
     keeps its height in curves that have far fewer points than the recording.
     """
-    limit: Vector = np.array(config.torque_limit or [np.inf] * len(data.joint_names))
     samples = np.column_stack(
         [
             data.time,
@@ -269,10 +273,10 @@ def compute_curve_points(data: RunData, config: ControllerConfig) -> Matrix:
             data.alpha_true,
             data.noise_variance,
             data.innovation,
-            np.abs(data.torque) / limit,
+            np.abs(data.torque) / source.find_torque_limits(config),
         ]
     )
-    return block_extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
+    return find_block_extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
 
 
 def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 import webbrowser
@@ -15,35 +16,49 @@ from multicontact_control.runs.scenario import Setup
 from multicontact_control.view.source import SnapshotSource
 
 
-def run_view(
-    setup: Setup,
-    tell: Callable[[str], object],
-    *,
-    recording: Path | None = None,
-    graph: bool = False,
-    namespace: str | None = None,
-    domain_id: int | None = None,
-    port: int = 8080,
-    open_browser: bool = False,
-) -> str:
+@dataclass(frozen=True)
+class ViewSubject:
     """
-    Show a graph or a recording on a page until a signal comes, e.g. by Ctrl-C.
+    What a page shows: a recording, a graph that runs, or else a simulated graph that it starts.
 
-    Without a recording or a graph that runs, it starts a simulated graph of `setup`, and ends it
-    with the page.
-
-    Parameters
+    Attributes
     ----------
     setup
         The arm, its contacts and its plant; of a recording or a graph, what is known of them.
-    tell
-        Called with each line for the user.
     recording
         Folder of a run or bag that is replayed.
     graph
         Whether the page joins a graph that runs.
     namespace, domain_id
         Where the graph runs, or is started.
+
+    """
+
+    setup: Setup
+    recording: Path | None = None
+    graph: bool = False
+    namespace: str | None = None
+    domain_id: int | None = None
+
+
+def run_view(
+    subject: ViewSubject,
+    tell: Callable[[str], object],
+    *,
+    port: int = 8080,
+    open_browser: bool = False,
+) -> str:
+    """
+    Show a graph or a recording on a page until a signal comes, e.g. by Ctrl-C.
+
+    A simulated graph that it starts ends with the page.
+
+    Parameters
+    ----------
+    subject
+        What the page shows.
+    tell
+        Called with each line for the user.
     port
         TCP port of the page on this machine; the next one that is free if it is taken.
     open_browser
@@ -60,7 +75,7 @@ def run_view(
         If viser is missing, or if graph or recording cannot be shown.
 
     """
-    if graph and recording is not None:
+    if subject.graph and subject.recording is not None:
         raise ConfigError('--graph', hint='leave it out with a recording')
     try:
         from multicontact_control.view.page import Page
@@ -78,19 +93,7 @@ def run_view(
         collected_signals() as signals,
         ExitStack() as stack,
     ):
-        shown: SnapshotSource
-        if recording is not None:
-            from multicontact_control.view.replay import load_replay
-
-            shown = load_replay(recording, setup, namespace)
-        elif graph:
-            from multicontact_control.view.graph import GraphSource
-
-            shown = GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
-        else:
-            shown = start_simulated_graph(
-                setup, namespace, domain_id, stack, signals, tell
-            )
+        shown = _open_source(subject, stack, signals, tell)
         stack.callback(shown.close)
         page = Page(shown, port)
         stack.callback(page.close)
@@ -103,10 +106,30 @@ def run_view(
     return ''
 
 
+def _open_source(
+    subject: ViewSubject,
+    stack: ExitStack,
+    signals: Sequence[int],
+    tell: Callable[[str], object],
+) -> SnapshotSource:
+    """Open a recording, join a graph or start one; see `start_simulated_graph`."""
+    if subject.recording is not None:
+        from multicontact_control.view.replay import load_replay
+
+        return load_replay(subject.recording, subject.setup, subject.namespace)
+    if subject.graph:
+        from multicontact_control.view.graph import GraphSource
+
+        return GraphSource(
+            subject.setup,
+            namespace=subject.namespace or '',
+            domain_id=subject.domain_id,
+        )
+    return start_simulated_graph(subject, stack, signals, tell)
+
+
 def start_simulated_graph(
-    setup: Setup,
-    namespace: str | None,
-    domain_id: int | None,
+    subject: ViewSubject,
     stack: ExitStack,
     signals: Sequence[int],
     tell: Callable[[str], object],
@@ -116,10 +139,9 @@ def start_simulated_graph(
 
     Parameters
     ----------
-    setup
-        The arm, its controller and its plant, whose parameter files the nodes read.
-    namespace, domain_id
-        Where the graph runs; without a domain, the first one that is free on this machine.
+    subject
+        The setup whose parameter files the nodes read, and where the graph runs; without a domain,
+        the first one that is free on this machine.
     stack
         Ends the nodes and removes their folder when it is closed.
     signals
@@ -148,7 +170,8 @@ def start_simulated_graph(
         if signals:
             raise InterruptedRunError
 
-    namespace = check_namespace(namespace or '')
+    setup = subject.setup
+    namespace = check_namespace(subject.namespace or '')
     ensure_compiled()
     tell('starting the nodes')
     folder = Path(stack.enter_context(TemporaryDirectory(prefix='multicontact-view-')))
@@ -158,7 +181,7 @@ def start_simulated_graph(
         rate=setup.controller.rate,
         seed=setup.seed,
         recorded=False,
-        domain_id=domain_id,
+        domain_id=subject.domain_id,
         namespace=namespace,
         parameter_files=setup.write(folder / CONFIG_FOLDER),
         extra_parameters=simulation_parameters(setup),

@@ -13,6 +13,7 @@ from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.judging.supervisor_events import LogLine, SupervisorEvent
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
+import numpy as np
 from sim_bridge.surface_patch import Patch, shape_configured_patch
 
 RATE = 25.0  # Hz, of snapshots
@@ -356,6 +357,18 @@ class EventDescriber:
 def count_point_columns(config: ControllerConfig) -> int:
     """Return the number of columns of `Snapshot.points`: time, forces of all kinds, torques."""
     return 1 + KINDS * len(config.columns) + len(config.robot.joint_names)
+
+
+def find_torque_limits(config: ControllerConfig) -> Vector:
+    """
+    Return the torque limits of the joints, shape (n,) [N m], to which curves relate the torques.
+
+    They are infinite without limits in the configuration: such curves stay at 0.
+    """
+    limits = np.full(len(config.robot.joint_names), np.inf)
+    if config.torque_limit:
+        limits[:] = config.torque_limit
+    return limits
 
 
 def list_felt_surfaces(config: ControllerConfig) -> tuple[DrawnSurface, ...]:

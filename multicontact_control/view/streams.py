@@ -1,4 +1,4 @@
-"""Every message of a topic, so that curves have the extremes between two of their points."""
+"""Every message of a graph's topics, so that curves have the extremes between two points."""
 
 from __future__ import annotations
 
@@ -6,17 +6,34 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.nodes import qos
+from multicontact_control.config import ControllerConfig
+from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import ignore_message, take_message
 from multicontact_control.nodes.messages import read_named_vectors
 from multicontact_control.nodes.streams import MessageReader
 from multicontact_control.nodes.topics import Topic
+from multicontact_control.view.source import (
+    BLOCKS,
+    count_point_columns,
+    find_torque_limits,
+    RATE,
+)
 import numpy as np
 from rclpy.node import Node
 
 # Best effort: a page that is late by a command it gives must not make a sender wait.
 CURVE_QOS = qos.make_profile(5000, reliable=False)
 MESSAGES_AT_ONCE = 500  # so that a graph that is faster than the page cannot keep it
+BLOCK_TIME = 1.0 / (BLOCKS * RATE)  # s, from one block of samples to the next
+# Topics of forces, in the order of `Snapshot.points`; the torques follow.
+FORCE_TOPICS = (
+    topics.MEASURED_FORCES,
+    topics.ESTIMATED_FORCES,
+    topics.DESIRED_FORCES,
+    topics.TRUE_FORCES,
+    topics.NOISE_VARIANCE,
+    topics.INNOVATION,
+)
 
 
 class EffortStream:
@@ -89,6 +106,68 @@ class EffortStream:
         Both are those of `newest` if no message has come since then; NaN is skipped where a
         message has a number.
         """
-        block = self._convert(np.array(self._block or [self.newest]))
+        efforts = self._block if self._block else [self.newest]
+        block = self._convert(np.array(efforts))
         self._block.clear()
         return np.fmin.reduce(block), np.fmax.reduce(block)
+
+
+class CurveStreams:
+    """
+    The streams of all curves of a graph, and the points of the curves since the last snapshot.
+
+    Parameters
+    ----------
+    node
+        Node that subscribes to the topics.
+    config
+        Configuration of the controller: its contacts, joints and torque limits.
+
+    """
+
+    def __init__(self, node: Node, config: ControllerConfig) -> None:
+        joint_names = config.robot.joint_names
+        limits = find_torque_limits(config)
+
+        def relate_to_limit(torques: Matrix) -> Matrix:
+            return np.abs(torques) / limits
+
+        self._forces = {
+            topic: EffortStream(node, topic, config.column_names)
+            for topic in FORCE_TOPICS
+        }
+        torques = EffortStream(
+            node, topics.EFFORT_COMMAND, joint_names, relate_to_limit
+        )
+        self._streams = [*self._forces.values(), torques]
+        self._width = count_point_columns(config)
+        self._points: list[Vector] = []
+        self._drawn_until = 0.0  # time of the last point [s]
+
+    def get_newest(self, topic: Topic) -> Vector:
+        """Return the last efforts of one of `FORCE_TOPICS`, shape (r,); see `EffortStream`."""
+        return self._forces[topic].newest
+
+    def take_messages(self) -> None:
+        """Take the messages of all streams that have come since the last call."""
+        for stream in self._streams:
+            stream.take_messages()
+
+    def begin_anew(self) -> None:
+        """Let the next block of samples begin before time zero, as samples begin there."""
+        self._drawn_until = -BLOCK_TIME
+
+    def add_points(self, time: float) -> None:
+        """Add two points that end a block of samples at a time [s]: its least and greatest."""
+        extremes = [stream.take_extremes() for stream in self._streams]
+        least, greatest = zip(*extremes)
+        middle = 0.5 * (self._drawn_until + time)
+        self._points.append(np.concatenate([[middle], *least]))
+        self._points.append(np.concatenate([[time], *greatest]))
+        self._drawn_until = time
+
+    def take_points(self) -> Matrix:
+        """Return the points since the last call, shape (k, 1 + KINDS r + n); see `Snapshot`."""
+        points = np.array(self._points).reshape(-1, self._width)
+        self._points.clear()
+        return points

@@ -71,7 +71,8 @@ def test_bad_input_exits_with_two_and_one_line(
     monkeypatch.chdir(tmp_path)
     done = multicontact(*arguments)
     assert done.exit_code == 2
-    assert message in done.stderr and done.stderr.count('\n') == 1
+    assert message in done.stderr
+    assert done.stderr.count('\n') == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -94,36 +95,44 @@ def test_options_that_a_run_knows_itself_are_refused(
     (tmp_path / 'summary.json').write_text('{}')
     done = multicontact(command, str(tmp_path), option, value)
     assert done.exit_code == 2
-    assert (
-        f'{option}: leave it out with ' in done.stderr and done.stderr.count('\n') == 1
-    )
+    assert f'{option}: leave it out with ' in done.stderr
+    assert done.stderr.count('\n') == 1
+
+
+QUICK = ('--scenario', 'quick', '--plant', 'rigid', '--out', 'run')
 
 
 @pytest.mark.slow
 def test_simulate_leaves_a_run_folder(multicontact, tmp_path, monkeypatch):
     """Series, summary, figures; it is not replaced unless it is asked for."""
     monkeypatch.chdir(tmp_path)
-    out = str(tmp_path / 'run')
-    options = ('--scenario', 'quick', '--plant', 'rigid', '--out', out)
-    done = multicontact('simulate', *options, '--duration', '3.0', '--seed', '5')
+    run = tmp_path / 'run'
+    done = multicontact('simulate', *QUICK, '--duration', '3.0', '--seed', '5')
     assert done.exit_code == 0, done.stderr
-    summary = json.loads((tmp_path / 'run/summary.json').read_text())
-    assert (summary['scenario'], summary['plant'], summary['seed']) == (
-        'quick',
-        'rigid',
-        5,
-    )
-    assert (summary['mode'], summary['ticks']) == ('in_process', 1500)
-    assert len(list((tmp_path / 'run/figures').glob('*.png'))) == 4
-    assert summary['verdict'] == 'stable' and '\nstable (judged: ' in done.stdout
-    assert multicontact('report', out).exit_code == 0
-    again = multicontact('simulate', *options)
-    assert again.exit_code == 2
-    assert '--overwrite' in again.stderr and again.stderr.count('\n') == 1
-    replaced = multicontact('simulate', *options, '--duration', '1', '--overwrite')
-    assert replaced.exit_code == 0 and 'not judged: ' in replaced.stdout
-    assert not (tmp_path / 'run/report.html').exists()
-    for text in ('{"sch', '[]', '{}'):
-        (tmp_path / 'run/summary.json').write_text(text)
-        done = multicontact('report', out)
-        assert done.exit_code == 2 and 'run/summary.json: expected' in done.stderr
+    assert '\nstable (judged: ' in done.stdout
+    summary = json.loads((run / 'summary.json').read_text())
+    assert summary['scenario'] == 'quick'
+    assert summary['plant'] == 'rigid'
+    assert summary['seed'] == 5
+    assert summary['mode'] == 'in_process'
+    assert summary['ticks'] == 1500
+    assert summary['verdict'] == 'stable'
+    assert len(list((run / 'figures').glob('*.png'))) == 4
+    assert multicontact('report', 'run').exit_code == 0
+    refused = multicontact('simulate', *QUICK)
+    assert refused.exit_code == 2
+    assert '--overwrite' in refused.stderr
+    assert refused.stderr.count('\n') == 1
+    replaced = multicontact('simulate', *QUICK, '--duration', '1', '--overwrite')
+    assert replaced.exit_code == 0
+    assert 'not judged: ' in replaced.stdout
+    assert not (run / 'report.html').exists()
+
+
+@pytest.mark.parametrize('text', ['{"sch', '[]', '{}'])
+def test_report_refuses_a_summary_that_is_none(multicontact, tmp_path, text):
+    (tmp_path / 'config').mkdir()
+    (tmp_path / 'summary.json').write_text(text)
+    done = multicontact('report', str(tmp_path))
+    assert done.exit_code == 2
+    assert 'summary.json: expected' in done.stderr

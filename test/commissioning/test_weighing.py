@@ -1,5 +1,6 @@
 """Weighing the tool from a recording; tests of graphs weigh that of a running robot."""
 
+from itertools import product
 from types import SimpleNamespace
 
 from arms import controller_config
@@ -22,6 +23,7 @@ from multicontact_control.nodes import messages, topics
 from multicontact_control.runs.scenario import read_controller_files
 from multicontact_control.sensor.tool import PoseReading, predict_weight_reading
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from ros_graph import write_bag
 from scipy.spatial.transform import Rotation
@@ -39,7 +41,9 @@ POSES[:, 3:6] = [
     [0.9, 1.2, -0.2],
     [0.9, -0.3, -1.3],
 ]
-REST, MOVE = 2.0, 0.8  # s
+REST = 2.0  # s
+MOVE = 0.8  # s
+GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def led_arm(file, offset, touched):
@@ -47,32 +51,35 @@ def led_arm(file, offset, touched):
     read = read_controller_files([file])
     random = np.random.default_rng(0)
     robot = RobotModel(read.config().robot, read.urdf_dir)
+    none = np.zeros(7)
+    targets = np.append(POSES[1:], POSES[-1:], axis=0)
     for k in range(round(len(POSES) * (REST + MOVE) * RATE)):
         number, at = divmod(k / RATE, REST + MOVE)
-        here = POSES[int(number)]
-        there = POSES[min(int(number) + 1, len(POSES) - 1)]
-        q = here + max(at - REST, 0.0) / MOVE * (there - here)
-        wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
-        wrench += predict_weight_reading(
-            robot.update(q, np.zeros(7)).sensor_pose.rotation_world,
-            TOOL,
-            np.array([0.0, 0.0, -9.81]),
-        )
-        if int(number) in touched:
+        number = int(number)
+        share = max(at - REST, 0.0) / MOVE
+        q = POSES[number] + share * (targets[number] - POSES[number])
+        noise = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3)
+        rotation = robot.update(q, none).sensor_pose.rotation_world
+        wrench = predict_weight_reading(rotation, TOOL, GRAVITY) + TOOL.bias_sensor
+        wrench += noise
+        if number in touched:
             wrench[0] += 5.0 * np.sin(7.0 * at)
         stamp = START + round(k / RATE * 1e9)
-        yield (
-            topics.JOINT_STATES,
-            stamp,
-            messages.joint_state_message(
-                stamp, JOINTS, position=q, velocity=np.zeros(7)
-            ),
-        )
-        yield (
-            topics.WRENCH,
-            stamp + offset % 10**9,
-            wrench_message(stamp + offset, 'wrist', wrench),
-        )
+        joints = messages.joint_state_message(stamp, JOINTS, position=q, velocity=none)
+        yield topics.JOINT_STATES, stamp, joints
+        reading = wrench_message(stamp + offset, 'wrist', wrench)
+        yield topics.WRENCH, stamp + offset % 10**9, reading
+
+
+def corners_of(contact):
+    """Return the corners and the middle of what touches, shape (9, 3), operational frame."""
+    normal = np.array(contact.normal_world)
+    along = np.array(contact.direction_operational)
+    across = np.cross(normal, along)
+    length = contact.half_length * (contact.type != 'point')
+    width = contact.half_width * (contact.type == 'plane')
+    shares = np.array(list(product((-1, 0, 1), repeat=2)))
+    return contact.point_operational + shares @ [length * along, width * across]
 
 
 @pytest.mark.parametrize('kind', ['point', 'edge', 'plane'])
@@ -98,40 +105,40 @@ def test_tool_is_lifted_until_no_tilt_leads_into_a_surface(kind, normals):
     controller = SimpleNamespace(contact_names=list(contacts), contacts=contacts)
     tilts = [Rotation.from_rotvec([0.4 * x, 0.4 * y, 0.0]) for x, y in TILTS]
     way = find_clearing_way(controller, Rotation.identity(), tilts)
-    for contact in controller.contacts.values():
-        normal, along = (
-            np.array(x) for x in (contact.normal_world, contact.direction_operational)
-        )
-        across = contact.half_width * (kind == 'plane') * np.cross(normal, along)
-        along = contact.half_length * (kind != 'point') * along
-        corners = contact.point_operational + np.array(
-            [a * along + b * across for a in (-1, 0, 1) for b in (-1, 0, 1)]
-        )
+    for contact in contacts.values():
+        corners = corners_of(contact)
         for tilt in tilts:
-            depth = (tilt.apply(corners) + way - corners) @ normal
-            assert depth.max() <= -CLEARANCE + 1e-9
+            depths = (tilt.apply(corners) + way - corners) @ contact.normal_world
+            assert depths.max() <= -CLEARANCE + 1e-9
     assert 0.02 < np.linalg.norm(way) < 0.3
+
+
+RESTING = PoseReading(np.eye(3), np.zeros(6))
 
 
 def test_poses_without_a_rest_are_tried_again_and_named_if_they_stay_without():
     """The second gives one at its second try, the fifth never."""
-    tried, said = [], []
-    reading = PoseReading(np.eye(3), np.zeros(6))
+    tried = []
+    said = []
 
     def rest_at(number):
         tried.append(number)
-        if number == 4 or tried.count(1) == 1 == number:
+        first_try = tried.count(number) == 1
+        if number == 4 or (number == 1 and first_try):
             raise CalibrationError('no quiet rest')
-        return reading
+        return RESTING
 
     found, lacking = visit_poses(5, rest_at, said.append)
-    assert (len(found), lacking) == (4, 'pose 5: no quiet rest')
+    assert len(found) == 4
+    assert lacking == 'pose 5: no quiet rest'
     assert tried == [0, 1, 2, 3, 4, 1, 4]
     assert '4 of 5 poses count' in said
-    with pytest.raises(
-        CalibrationError, match='at least 4 quiet rests .*, got 3; pose 5: no qui'
-    ):
-        identify_from_rests(found[:3], controller_config(), lacking)
+
+
+def test_tool_is_not_identified_from_fewer_than_four_rests():
+    expected = 'at least 4 quiet rests .*, got 3; pose 5: no qui'
+    with pytest.raises(CalibrationError, match=expected):
+        identify_from_rests([RESTING] * 3, controller_config(), 'pose 5: no quiet rest')
 
 
 @pytest.mark.ros
@@ -145,9 +152,7 @@ def test_tool_is_identified_from_rests_whatever_the_clocks(tmp_path, offset, tou
     result = weigh_recording(tmp_path / 'bag', [file], None, print)
     assert result.poses == 5 - len(touched)
     assert result.mass == pytest.approx(TOOL.mass, abs=0.01)
-    np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
-    np.testing.assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
-    assert (
-        controller_config(**read_parameters(write_tool(tmp_path, result))).tool
-        == result.tool()
-    )
+    assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
+    assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
+    written = controller_config(**read_parameters(write_tool(tmp_path, result)))
+    assert written.tool == result.tool()

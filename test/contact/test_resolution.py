@@ -11,6 +11,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import find_config_folder
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from scipy.signal import butter, lfilter
 
@@ -60,7 +61,7 @@ def test_force_noise_is_that_of_drawn_readings(friction_std):
         controls['wrench'] = reading
         assert measure_contacts(controls[0], columns, SPACE)
         drawn.append(columns['alpha_meas'].copy())
-    np.testing.assert_allclose(np.std(drawn, axis=0), expected, rtol=0.05)
+    assert_allclose(np.std(drawn, axis=0), expected, rtol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -2,22 +2,7 @@
 
 from types import SimpleNamespace
 
-from equations import (
-    allocate_force,
-    contact_coordinates,
-    contact_normals,
-    contact_rates,
-    contact_wrench,
-    euclidean_projections,
-    inertia_projections,
-    joint_torque,
-    limited_torque,
-    motion_acceleration,
-    Observer,
-    operational_space,
-    operational_stiffness,
-    posture_pull,
-)
+import equations
 from multicontact_control.control.controller import LEAST_TASK_SHARE, SINGULAR_MOBILITY
 from multicontact_control.force.plant import make_delayed_plant, place_poles
 import numpy as np
@@ -30,117 +15,90 @@ class ReferenceController:
         self.config = config
         self.robot = robot
         self._reference = reference
-        contacts = [config.contacts[name] for name in config.contact_names]
-        self._normals_world = np.array([contact.normal_world for contact in contacts])
-        self._points_operational = np.array(
-            [contact.point_operational for contact in contacts]
-        )
-        self._gravity_world = np.array(config.robot.gravity_world)
-        self._torque_limit = (
-            np.array(config.torque_limit)
-            if config.torque_limit
-            else np.full(robot.joint_count, np.inf)
-        )
-        none = np.zeros(robot.joint_count)
-        self._coulomb = (
-            np.array(config.friction.coulomb) if config.friction.coulomb else none
-        )
-        self._viscous = (
-            np.array(config.friction.viscous) if config.friction.viscous else none
-        )
+        self._contacts = [config.contacts[name] for name in config.contact_names]
+        self._normals = np.array([each.normal_world for each in self._contacts])
+        self._points = np.array([each.point_operational for each in self._contacts])
+        self._torque_limit = np.array(config.torque_limit or [np.inf])
+        self._coulomb = np.array(config.friction.coulomb or [0.0])
+        self._viscous = np.array(config.friction.viscous or [0.0])
         self._observers = []
-        self._active = np.zeros(len(self.config.contact_names), dtype=bool)
+        self._active = np.zeros(len(self._contacts), dtype=bool)
 
     def step(self, measurement, noise_variance):
+        config = self.config
         state = self.robot.update(measurement.q, measurement.qd)
-        levers = -self._points_operational @ state.pose.rotation_world.T
-        N_all = contact_normals(self._normals_world, levers)
-        wrench = contact_wrench(
+        levers = -self._points @ state.pose.rotation_world.T
+        N_all = equations.contact_normals(self._normals, levers)
+        wrench = equations.contact_wrench(
             measurement.wrench_sensor,
             state.sensor_pose,
             state.pose.position_world,
-            self.config.tool,
-            self._gravity_world,
+            config.tool,
+            np.array(config.robot.gravity_world),
         )
-        alpha_meas = contact_coordinates(N_all, wrench)
+        alpha_meas = equations.contact_coordinates(N_all, wrench)
         if not self._observers:
             self._observers = self._design_observers()
             self._start = measurement.q.copy()
-            self._reference.start(state.pose, self._normals_world)
+            self._reference.start(state.pose, self._normals)
         reference = self._reference.task_at(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
-        space = operational_space(state, singular_mobility=SINGULAR_MOBILITY)
+        space = equations.operational_space(state, SINGULAR_MOBILITY)
         N = N_all[:, self._active]
         inputs = self._force_inputs(reference, alpha_meas, noise_variance)
-        if (
-            self.config.force.allocation == 'paper'
-        ):  # a loop for k_s commands so much less
-            k_s = np.array(
-                [
-                    operational_stiffness(1.0, normal, lever)
-                    for normal, lever in zip(self._normals_world, levers)
-                ]
-            )
-            inputs /= k_s[self._active]
+        if config.force.allocation == 'paper':  # a loop for k_s commands so much less
+            k_s = np.diag(N_all.T @ N_all)
+            inputs = inputs / k_s[self._active]
         acceleration = self._acceleration(state, space, reference, N, inputs)
-        alpha_est = self._of_active('x_est', 0)
-        fed = self._fed_forward(
-            N_all, space, alpha_meas, alpha_est, reference.alpha_des
-        )
-        force = space.Lambda @ acceleration + space.mu + space.p + N @ fed[self._active]
-        torque = joint_torque(force, state, space, **self._nullspace(measurement.q))
+        alpha_est = self._of_active('force')
+        share = self._share_of_desired(N_all, space)
+        fed_forward = alpha_est + share * (reference.alpha_des - alpha_est)
+        if config.force.fed_forward == 'measured':
+            fed_forward = np.maximum(alpha_meas, 0.0)
+        pressing = N @ fed_forward[self._active]
+        force = space.Lambda @ acceleration + space.mu + space.p + pressing
         friction = self._friction(measurement.qd)
-        torque += friction
-        priority = (
-            state.coriolis
-            + state.gravity
-            + friction
-            + state.jacobian.T @ (N @ fed[self._active])
+        torque = friction + equations.joint_torque(
+            force, state, space, *self._nullspace(measurement.q)
         )
+        carried = state.coriolis + state.gravity + friction
+        priority = carried + state.jacobian.T @ pressing
         return SimpleNamespace(
-            torque=limited_torque(
+            torque=equations.limited_torque(
                 torque, priority, self._torque_limit, LEAST_TASK_SHARE
             ),
-            active=self._active,
             alpha_meas=alpha_meas,
             alpha_des=reference.alpha_des,
             alpha_est=alpha_est,
-            alpha_rate_est=self._of_active('x_est', 1),
-            **{
-                name: self._of_active(name)
-                for name in ('innovation', 'prior_variance', 'variance_used')
-            },
+            alpha_rate_est=self._of_active('force_rate'),
+            innovation=self._of_active('innovation'),
+            prior_variance=self._of_active('prior_variance'),
+            variance_used=self._of_active('variance_used'),
         )
 
-    def _fed_forward(self, N, space, alpha_meas, alpha_est, alpha_des):
-        """Return the contact forces that are fed forward, shape (r,) [N]."""
+    def _share_of_desired(self, N, space):
+        """Return how far what is fed forward goes from the estimated to the desired force."""
         force = self.config.force
-        if force.fed_forward == 'measured':
-            return np.maximum(alpha_meas, 0.0)
-        k = np.array(
-            [self.config.contacts[name].stiffness for name in self.config.contact_names]
-        )
-        along = np.diag(N.T @ np.linalg.solve(space.Lambda, N))
-        share = {
-            'estimate': 0.0,
-            'desired': 1.0,
-            'mixed': np.minimum(force.damping_rate**2 / (2.0 * k * along), 1.0),
-        }[force.fed_forward]
-        return alpha_est + share * (alpha_des - alpha_est)
+        if force.fed_forward == 'desired':
+            return 1.0
+        if force.fed_forward == 'estimate':
+            return 0.0
+        k = np.array([contact.stiffness for contact in self._contacts])
+        mobility = np.diag(N.T @ np.linalg.solve(space.Lambda, N))
+        return np.minimum(force.damping_rate**2 / (2.0 * k * mobility), 1.0)
 
     def _nullspace(self, q):
         """Return damping and pull in the null space, which six joints do not have."""
         config = self.config
         if self.robot.joint_count <= 6:
-            return {'nullspace_damping': config.nullspace_damping}
-        w, margin, limits = config.posture.natural_frequency, 0.1, config.limits
-        lower = np.array(limits.joint_lower or [-np.inf] * len(q))
-        upper = np.array(limits.joint_upper or [np.inf] * len(q))
+            return config.nullspace_damping, 0.0
+        w = config.posture.natural_frequency
+        margin = 0.1
+        lower = np.array(config.limits.joint_lower or [-np.inf])
+        upper = np.array(config.limits.joint_upper or [np.inf])
         posture = np.clip(self._start, lower + margin, upper - margin)
-        return {
-            'nullspace_damping': max(config.nullspace_damping, 2.0 * w),
-            'pull': posture_pull(q, posture, lower, upper, w, margin),
-        }
+        pull = equations.posture_pull(q, posture, lower, upper, w, margin)
+        return max(config.nullspace_damping, 2.0 * w), pull
 
     def _friction(self, qd):
         """Return the torque that the joints' friction is expected to take, shape (n,) [N m]."""
@@ -150,26 +108,27 @@ class ReferenceController:
     def _design_observers(self):
         """Design one AOB per contact, of the acceleration of its contact point."""
         force = self.config.force
+        h = self.config.period
         observers = []
-        for name in self.config.contact_names:
-            k_env = self.config.contacts[name].stiffness
-            h = self.config.period
+        for contact in self._contacts:
+            plant = make_delayed_plant(
+                contact.stiffness, force.damping_rate, force.input_delay, h
+            )
             loop = place_poles(
-                make_delayed_plant(k_env, force.damping_rate, force.input_delay, h),
+                plant,
                 h,
                 time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio,
             )
-            observers.append(
-                Observer(
-                    loop.plant.Phi,
-                    loop.plant.Gamma,
-                    loop.L,
-                    order=force.active_state_order,
-                    process_noise=force.process_noise,
-                    initial_covariance=1e-3,
-                )
+            observer = equations.Observer(
+                plant.Phi,
+                plant.Gamma,
+                loop.L,
+                order=force.active_state_order,
+                process_noise=force.process_noise,
+                initial_covariance=1e-3,
             )
+            observers.append(observer)
         return observers
 
     def _follow_active_set(self, active, alpha_meas):
@@ -189,25 +148,20 @@ class ReferenceController:
 
     def _acceleration(self, state, space, reference, N, inputs):
         """Return Omega_m f_t* + Omega_f f_c* (P04 eq. 27)."""
-        force = self.config.force
-        _, Omega_m = (
-            inertia_projections(N, space.Lambda)
-            if (force.projection == 'inertia')
-            else euclidean_projections(N)
-        )
-        f_t = motion_acceleration(
-            self.config.motion, reference, state.pose, state.twist_world
-        )
-        rates = contact_rates(N, state.twist_world, force.allocation)
-        alpha_star = inputs - force.damping_rate * rates
-        f_c = allocate_force(N, alpha_star, force.allocation)
+        config = self.config
+        allocation = config.force.allocation
+        if config.force.projection == 'inertia':
+            _, Omega_m = equations.inertia_projections(N, space.Lambda)
+        else:
+            _, Omega_m = equations.euclidean_projections(N)
+        twist = state.twist_world
+        f_t = equations.motion_acceleration(config.motion, reference, state.pose, twist)
+        rates = equations.contact_rates(N, twist, allocation)
+        alpha_star = inputs - config.force.damping_rate * rates
+        f_c = equations.allocate_force(N, alpha_star, allocation)
         return Omega_m @ f_t + f_c - Omega_m @ f_c
 
-    def _of_active(self, name, *index):
+    def _of_active(self, name):
         """Return what the observers of the active contacts know, 0 for the others."""
-        return np.array(
-            [
-                np.asarray(getattr(observer, name))[index] if active else 0.0
-                for observer, active in zip(self._observers, self._active)
-            ]
-        )
+        values = np.array([getattr(observer, name) for observer in self._observers])
+        return np.where(self._active, values, 0.0)

@@ -12,6 +12,7 @@ from multicontact_control.flags import OPERATIONAL_SPEED, RESIDUAL_EXCEEDED
 from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL, JOINT
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 H = 0.002
@@ -46,7 +47,7 @@ def test_arm_that_turns_too_fast_is_seen_all_the_same(limit, found):
     arm.frames['config']['turn_limit'] = limit
     assert put(arm, velocity=turning(2.0))
     assert arm.flags == found
-    np.testing.assert_array_equal(arm.velocity, turning(2.0))
+    assert_array_equal(arm.velocity, turning(2.0))
 
 
 def test_arm_without_limits_is_never_too_fast():
@@ -124,7 +125,7 @@ def test_wrench_of_the_residual_is_its_dynamically_consistent_one():
     wrench = np.linalg.solve(J @ inverse @ J.T, J @ inverse @ residual)
     R = state.sensor_pose.rotation_world
     expected = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
-    np.testing.assert_allclose(arm.controls['wrench'][0], expected, rtol=1e-9)
+    assert_allclose(arm.controls['wrench'][0], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(('residual', 'learnt'), [(1.5, 1.5), (-1.5, 0.5), (50.0, 2.0)])

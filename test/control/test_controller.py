@@ -9,7 +9,6 @@ from arms import (
     seven_joint_config,
     seven_joint_urdf,
 )
-import equations
 from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.control.law import limit_torque
@@ -21,74 +20,53 @@ from multicontact_control.paths import find_config_folder
 from multicontact_control.records import JOINT, LAW
 from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from reference_controller import ReferenceController
 
 REST = np.zeros(6)
+VARIANCE = np.full(2, 0.6)
+FORCES = {'table': 10.0, 'board': 5.0}
 NO_FRICTION = {'coulomb': [], 'viscous': []}
 
 
-def make_law(reference=None, **changes):
-    """Return a law without joint friction, and its reference: commands by themselves."""
+def make_law(**changes):
+    """Return a law without joint friction: it asks for nothing until its reference is set."""
     config = controller_config(friction=NO_FRICTION, **changes)
-    reference = reference or CommandedTask(config.column_names, config.leading_columns)
-    return Law(config, reference), reference
+    return Law(config, CommandedTask(config.column_names, config.leading_columns))
 
 
 def sample(law, time=0.0, qd=REST, **forces):
     """Return a sample at home, with forces on contacts."""
     state = law.robot.update(HOME, qd)
     config = law.config
-    weight = predict_weight_reading(
-        state.sensor_pose.rotation_world,
-        config.tool,
-        np.array(config.robot.gravity_world),
-    )
-    return Measurement(
-        time,
-        HOME.copy(),
-        np.array(qd),
-        weight + pressed_wrench(config, state, **forces),
-    )
+    gravity = np.array(config.robot.gravity_world)
+    rotation = state.sensor_pose.rotation_world
+    weight = predict_weight_reading(rotation, config.tool, gravity)
+    wrench = weight + pressed_wrench(config, state, **forces)
+    return Measurement(time, HOME.copy(), np.array(qd), wrench)
 
 
 @pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
 @pytest.mark.parametrize('allocation', ['decoupled', 'paper'])
 def test_motion_error_accelerates_no_contact(projection, allocation):
     """With both forces at their command, a motion error leaves N^T theta_dot at 0."""
-    law, reference = make_law(
-        force={'projection': projection, 'allocation': allocation}
-    )
-    law.step(sample(law), np.full(2, 0.6))
-    reference.set_forces({'table': 10.0, 'board': 5.0})
+    law = make_law(force={'projection': projection, 'allocation': allocation})
+    law.step(sample(law), VARIANCE)
+    law.reference.set_forces(FORCES)
     state = law.robot.update(HOME, REST)
-    reference.set_motion(
-        MotionReading(
-            state.pose.position_world + [0.01, 0.004, -0.003],
-            state.pose.quaternion_xyzw,
-            REST,
-            np.array([0.5, 0, 0, 0, 0, 0.2]),
-        ),
-        np.zeros((0, 3)),
-    )
-    output = law.step(sample(law, 0.002, table=10.0, board=5.0), np.full(2, 0.6))
-    np.testing.assert_allclose(output.contacts['alpha_meas'], [10.0, 5.0], atol=1e-9)
-    contacts = [law.config.contacts[name] for name in ('table', 'board')]
-    N = equations.contact_normals(
-        np.array([each.normal_world for each in contacts]),
-        -np.array(
-            [state.pose.rotation_world @ each.point_operational for each in contacts]
-        ),
-    )
-    qdd = np.linalg.solve(
-        state.mass_matrix,
-        output.torque
-        - state.coriolis
-        - state.gravity
-        - state.jacobian.T @ N @ [10.0, 5.0],
-    )
+    beside = state.pose.position_world + [0.01, 0.004, -0.003]
+    acceleration_des = np.array([0.5, 0, 0, 0, 0, 0.2])
+    motion = MotionReading(beside, state.pose.quaternion_xyzw, REST, acceleration_des)
+    law.reference.set_motion(motion, np.zeros((0, 3)))
+    output = law.step(sample(law, 0.002, **FORCES), VARIANCE)
+    assert_allclose(output.contacts['alpha_meas'], [10.0, 5.0], atol=1e-9)
+    N = law.contacts['N'].T
+    pressing = state.jacobian.T @ N @ [10.0, 5.0]
+    free_torque = output.torque - state.coriolis - state.gravity - pressing
+    qdd = np.linalg.solve(state.mass_matrix, free_torque)
     acceleration = state.jacobian @ qdd + state.jacobian_drift
-    np.testing.assert_allclose(N.T @ acceleration, 0.0, atol=1e-8)
+    assert_allclose(N.T @ acceleration, 0.0, atol=1e-8)
     assert np.abs(acceleration).max() > 1.0
 
 
@@ -116,67 +94,59 @@ class RandomTask:
 
     def task_at(self, time, alpha_meas=None):
         random = self._generator
+        start = self._pose
         turn = random.normal(size=4) * [0.2, 0.2, 0.2, 0.0] + [0.0, 0.0, 0.0, 1.0]
         offset = Pose.from_quaternion(0.05 * random.normal(size=3), turn)
+        position = start.position_world + offset.position_world
+        rotation = offset.rotation_world @ start.rotation_world
         active = random.random(self._contacts) < 0.8
+        forces = 20.0 * random.random(self._contacts)
         return WantedTask(
-            pose_des=Pose(
-                self._pose.position_world + offset.position_world,
-                offset.rotation_world @ self._pose.rotation_world,
-            ),
+            pose_des=Pose(position, rotation),
             twist_des=0.1 * random.normal(size=6),
             acceleration_des=random.normal(size=6),
             active=active,
-            alpha_des=np.where(active, 20.0 * random.random(self._contacts), 0.0),
+            alpha_des=np.where(active, forces, 0.0),
         )
+
+
+def assert_near(values, wanted, tolerance):
+    """Compare to a tolerance of the largest, which counts as 1 at least."""
+    size = max(1.0, np.abs(wanted).max())
+    assert_allclose(values, wanted, rtol=0.0, atol=tolerance * size)
 
 
 def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
-    """Compare both laws on random states and contacts, to a tolerance of the largest."""
+    """Compare both laws on random states and contacts."""
     count = len(config.contact_names)
     random = np.random.default_rng(0)
     compiled = Law(config, RandomTask(count), base_dir)
-    plain = ReferenceController(
-        config,
-        RobotModel(config.robot, base_dir or find_config_folder()),
-        RandomTask(count),
-    )
+    robot = RobotModel(config.robot, base_dir or find_config_folder())
+    plain = ReferenceController(config, robot, RandomTask(count))
     for k in range(50):
-        sample = Measurement(
-            0.002 * k,
-            home + 0.1 * random.normal(size=home.shape),
-            random.normal(size=home.shape),
-            10.0 * random.normal(size=6),
-        )
+        q = home + 0.1 * random.normal(size=home.shape)
+        qd = random.normal(size=home.shape)
+        wrench = 10.0 * random.normal(size=6)
+        measurement = Measurement(0.002 * k, q, qd, wrench)
         variance = np.exp(random.normal(size=count))
-        output, expected = (law.step(sample, variance) for law in (compiled, plain))
-        results = {'torque': output.torque, 'alpha_meas': output.contacts['alpha_meas']}
-        for name, values in (
-            results | {name: output.answer[name] for name in SERIES}
-        ).items():
-            wanted = getattr(expected, name)
-            np.testing.assert_allclose(
-                values,
-                wanted,
-                rtol=0.0,
-                err_msg=name,
-                atol=tolerance * max(1.0, np.abs(wanted).max()),
-            )
+        output = compiled.step(measurement, variance)
+        expected = plain.step(measurement, variance)
+        assert_near(output.torque, expected.torque, tolerance)
+        assert_near(output.contacts['alpha_meas'], expected.alpha_meas, tolerance)
+        for name in SERIES:
+            assert_near(output.answer[name], getattr(expected, name), tolerance)
 
 
 @pytest.mark.parametrize('order', [0, 1, 3])
 @pytest.mark.parametrize('allocation', ['decoupled', 'paper'])
 @pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
 def test_law_equals_numpy_for_every_option(order, allocation, projection):
-    assert_law_is_numpy(
-        controller_config(
-            force={
-                'active_state_order': order,
-                'allocation': allocation,
-                'projection': projection,
-            }
-        )
-    )
+    force = {
+        'active_state_order': order,
+        'allocation': allocation,
+        'projection': projection,
+    }
+    assert_law_is_numpy(controller_config(force=force))
 
 
 def test_law_equals_numpy_where_lambda_is_damped():
@@ -186,43 +156,40 @@ def test_law_equals_numpy_where_lambda_is_damped():
 
 def test_paper_allocation_equals_the_decoupled_one_where_normals_are_orthogonal():
     """N^T N is diagonal at home, with k_s of 1 and 1.036 k_env: eqs 17, 30 and 31 hold."""
-    decoupled, paper = (
-        make_law(force={'allocation': allocation, 'fed_forward': 'mixed'})
-        for allocation in ('decoupled', 'paper')
-    )
-    for law, reference in (decoupled, paper):
-        law.step(sample(law), np.full(2, 0.6))
-        reference.set_forces({'table': 10.0, 'board': 5.0})
-    N = decoupled[0].controller.contacts['N']
-    np.testing.assert_allclose(N @ N.T, np.diag([1.0, 1.0361]), atol=1e-12)
+    decoupled = make_law(force={'allocation': 'decoupled', 'fed_forward': 'mixed'})
+    paper = make_law(force={'allocation': 'paper', 'fed_forward': 'mixed'})
+    for law in (decoupled, paper):
+        law.step(sample(law), VARIANCE)
+        law.reference.set_forces(FORCES)
+    N = decoupled.contacts['N']
+    assert_allclose(N @ N.T, np.diag([1.0, 1.0361]), atol=1e-12)
     random = np.random.default_rng(1)
+    variance = np.array([0.6, 60.0])
     for k in range(1, 500):
         forces = {'table': 8.0 + random.normal(), 'board': 4.0 + random.normal()}
         qd = 0.05 * random.normal(size=6)
-        one, other = (
-            law.step(sample(law, 0.002 * k, qd, **forces), np.array([0.6, 60.0]))
-            for law, _ in (decoupled, paper)
-        )
-        np.testing.assert_allclose(other.torque, one.torque, rtol=0.0, atol=1e-9)
+        measurement = sample(decoupled, 0.002 * k, qd, **forces)
+        expected = decoupled.step(measurement, variance).torque
+        torque = paper.step(measurement, variance).torque
+        assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize('fed_forward', ['estimate', 'desired', 'mixed', 'measured'])
 @pytest.mark.parametrize('allocation', ['decoupled', 'paper'])
 @pytest.mark.parametrize('stiffness', [6000.0, 60_000.0])
 def test_law_equals_numpy_for_every_feed_forward(fed_forward, allocation, stiffness):
-    contacts = {name: {'stiffness': stiffness} for name in ('table', 'board')}
-    assert_law_is_numpy(
-        controller_config(
-            force={
-                'fed_forward': fed_forward,
-                'allocation': allocation,
-                'input_delay': 0.0031,
-            },
-            contacts=contacts,
-            friction={'coulomb': [1.0] * 6, 'viscous': [0.5] * 6},
-            torque_limit=[],
-        )
+    surface = {'stiffness': stiffness}
+    config = controller_config(
+        force={
+            'fed_forward': fed_forward,
+            'allocation': allocation,
+            'input_delay': 0.0031,
+        },
+        contacts={'table': surface, 'board': surface},
+        friction={'coulomb': [1.0] * 6, 'viscous': [0.5] * 6},
+        torque_limit=[],
     )
+    assert_law_is_numpy(config)
 
 
 @pytest.mark.parametrize('count', [1, 2, 6])
@@ -234,51 +201,57 @@ def test_law_equals_numpy_with_seven_joints_and_up_to_six_oblique_contacts(
     tmp_path, count, allocation, projection
 ):
     random = np.random.default_rng(count)
-    names = [f'contact{i}' for i in range(count)]
     normals = random.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
+    points = random.normal(size=(count, 3))
+    contacts = {}
+    for i in range(count):
+        contacts[f'contact{i}'] = {
+            'normal_world': normals[i].tolist(),
+            'point_operational': points[i].tolist(),
+        }
+    limits = {
+        'joint_lower': [-3.0] * 7,
+        'joint_upper': [3.0] * 7,
+        'joint_speed': [],
+        'torque_rate': [],
+    }
     config = controller_config(
         robot=seven_joint_config(seven_joint_urdf(tmp_path)).model_dump(),
         friction=NO_FRICTION,
         torque_limit=[100.0] * 7,
-        limits={
-            'joint_lower': [-3.0] * 7,
-            'joint_upper': [3.0] * 7,
-            'joint_speed': [],
-            'torque_rate': [],
-        },
+        limits=limits,
         collision={'threshold': [1.0] * 7},
-        contact_names=names,
-        contacts={
-            name: {'normal_world': normal.tolist(), 'point_operational': point.tolist()}
-            for name, normal, point in zip(
-                names, normals, random.normal(size=(count, 3))
-            )
-        },
+        contact_names=list(contacts),
+        contacts=contacts,
         force={'allocation': allocation, 'projection': projection},
     )
-    assert_law_is_numpy(
-        config, tmp_path, np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 2.95]), 1e-9
-    )
+    home = np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 2.95])
+    assert_law_is_numpy(config, tmp_path, home, 1e-9)
 
 
-def test_controller_refuses_impossible_samples(monkeypatch):
-    def step(q=HOME, **changes):
-        make_law(**changes)[0].step(Measurement(0.0, q, REST, REST), np.ones(2))
+def step_at_rest(q=HOME, **changes):
+    make_law(**changes).step(Measurement(0.0, q, REST, REST), VARIANCE)
 
+
+def test_joints_that_are_not_finite_are_refused():
+    with pytest.raises(SingularTaskError, match='finite'):
+        step_at_rest(np.full(6, np.nan))
+
+
+def test_contacts_with_dependent_columns_are_refused():
+    """The tool is upright: the board's point lies straight above the table's."""
     above = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.3]}
-    for error, match, arguments in (
-        (SingularTaskError, 'finite', {'q': np.full(6, np.nan)}),
-        # The tool is upright: the board's point lies straight above the table's.
-        (ContactGeometryError, 'table, board', {'contacts': {'board': above}}),
-    ):
-        with pytest.raises(error, match=match):
-            step(**arguments)
+    with pytest.raises(ContactGeometryError, match='table, board'):
+        step_at_rest(contacts={'board': above})
+
+
+def test_singular_posture_is_refused_where_lambda_is_not_damped(monkeypatch):
     monkeypatch.setattr(
         'multicontact_control.control.controller.SINGULAR_MOBILITY', 0.0
     )
     with pytest.raises(SingularTaskError, match='condition number'):
-        step(np.zeros(6))
+        step_at_rest(np.zeros(6))
 
 
 class Follow:
@@ -293,13 +266,10 @@ class Follow:
         pass
 
     def task_at(self, time, alpha_meas=None):
-        state = self.state
-        beside = Pose(
-            state.pose.position_world + self.offset, state.pose.rotation_world
-        )
-        return WantedTask(
-            beside, state.twist_world, REST, np.zeros(2, dtype=bool), np.zeros(2)
-        )
+        pose = self.state.pose
+        beside = Pose(pose.position_world + self.offset, pose.rotation_world)
+        inactive = np.zeros(2, dtype=bool)
+        return WantedTask(beside, self.state.twist_world, REST, inactive, np.zeros(2))
 
 
 @pytest.mark.parametrize(
@@ -314,25 +284,26 @@ def test_torques_have_no_spike_on_the_way_through_a_singularity(
     limit = np.array(controller_config().torque_limit)
     law = Law(controller_config(torque_limit=[], limits={'torque_rate': []}), follow)
     qd = (end - start) * np.eye(6)[joint]
-    torques = []
-    gravity = []
+    shares = []
+    shares_beside_gravity = []
     for k in range(501):
         q = HOME.copy()
         q[joint] = start + (end - start) * k / 500
-        follow.state = law.robot.update(q, qd)
-        torques.append(
-            law.step(Measurement(0.002 * k, q, qd, REST), np.full(2, 0.6)).torque
-        )
-        gravity.append(follow.state.gravity + follow.state.coriolis)
-    shares = np.array(torques) / limit
+        state = law.robot.update(q, qd)
+        follow.state = state
+        torque = law.step(Measurement(0.002 * k, q, qd, REST), VARIANCE).torque
+        shares.append(torque / limit)
+        shares_beside_gravity.append((torque - state.gravity - state.coriolis) / limit)
     assert np.isfinite(shares).all()
-    assert np.abs(shares - np.array(gravity) / limit).max() < 0.4
+    assert np.abs(shares_beside_gravity).max() < 0.4
     assert np.abs(np.diff(shares, axis=0)).max() < 0.02
 
 
 def limited(torque, priority, limit, least_share=0.0, drive_gravity_torque=0.0):
+    """Return a torque within limits, and whether it was beyond them."""
     joints = np.zeros(len(torque), dtype=JOINT)
-    joints['answer']['torque'], joints['answer']['priority'] = torque, priority
+    joints['answer']['torque'] = torque
+    joints['answer']['priority'] = priority
     joints['config']['torque_limit'] = limit
     joints['drive_gravity_torque'] = drive_gravity_torque
     law = np.zeros(1, dtype=LAW)
@@ -350,45 +321,44 @@ def test_torque_beyond_its_limits_keeps_its_direction(seed, size):
     command, was_limited = limited(torque, priority, limit)
     assert was_limited == bool((np.abs(torque) > limit).any())
     if not was_limited:
-        np.testing.assert_array_equal(command, torque)
+        assert_array_equal(command, torque)
         return
     assert (np.abs(command) <= limit).all()
     share = (command - priority) / (torque - priority)
-    np.testing.assert_allclose(share, share[0], atol=1e-9)
+    assert_allclose(share, share[0], atol=1e-9)
     assert 0.0 <= share[0] < 1.0
     assert (np.abs(command) / limit).max() == pytest.approx(1.0)
 
 
+LIMIT = [10.0, 10.0]
+
+
 @pytest.mark.parametrize(
-    ('torque', 'priority', 'limit', 'options', 'expected'),
+    ('torque', 'priority', 'limit', 'expected'),
     [
-        (
-            [12.0, 3.0],
-            [11.0, 1.0],
-            [10.0, 10.0],
-            {},
-            [10.0, 3.0],
-        ),  # more than can be carried
-        ([9.0, 20.0], [1.0, 0.0], [10.0, 4.0], {'least_share': 0.5}, [5.0, 4.0]),
-        ([np.nan, 30.0], [0.0, 0.0], [10.0, 10.0], {}, [np.nan, 10.0]),
-        # Limits are those of command and torque that the drives add.
-        (
-            [20.0, 3.0],
-            [11.0, 1.0],
-            [10.0, 10.0],
-            {'drive_gravity_torque': [5.0, 0.0]},
-            [15.0, 1.0 + 8.0 / 9.0],
-        ),
-        (
-            [14.0, -6.0],
-            [0.0, 0.0],
-            [10.0, 10.0],
-            {'drive_gravity_torque': [5.0, 4.0]},
-            [14.0, -6.0],
-        ),
+        ([12.0, 3.0], [11.0, 1.0], LIMIT, [10.0, 3.0]),  # more than can be carried
+        ([9.0, 20.0], [1.0, 0.0], [10.0, 4.0], [5.0, 4.0]),
+        ([np.nan, 30.0], [0.0, 0.0], LIMIT, [np.nan, 10.0]),
     ],
 )
 def test_torque_beyond_its_share_is_cut_joint_by_joint(
-    torque, priority, limit, options, expected
+    torque, priority, limit, expected
 ):
-    np.testing.assert_allclose(limited(torque, priority, limit, **options)[0], expected)
+    command, _ = limited(torque, priority, limit, least_share=0.5)
+    assert_allclose(command, expected)
+
+
+@pytest.mark.parametrize(
+    ('torque', 'priority', 'drive_gravity_torque', 'expected'),
+    [
+        ([20.0, 3.0], [11.0, 1.0], [5.0, 0.0], [15.0, 1.0 + 8.0 / 9.0]),
+        ([14.0, -6.0], [0.0, 0.0], [5.0, 4.0], [14.0, -6.0]),
+    ],
+)
+def test_limit_is_that_of_the_command_and_the_torque_that_the_drives_add(
+    torque, priority, drive_gravity_torque, expected
+):
+    command, _ = limited(
+        torque, priority, LIMIT, drive_gravity_torque=drive_gravity_torque
+    )
+    assert_allclose(command, expected)

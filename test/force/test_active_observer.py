@@ -17,6 +17,7 @@ from multicontact_control.force.plant import make_delayed_plant
 from multicontact_control.records import MAX_ORDER
 from numba import njit
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.signal import lsim
 
@@ -31,19 +32,17 @@ def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
     fine = 20  # steps of 0.1 ms in a period
     plant = make_delayed_plant(K, k_2, delay, H)
     assert len(plant.Gamma) == 2 + int(np.ceil(delay / H - 1e-9))
-    states = [np.zeros(plant.Phi.shape[0])]
+    states = [np.zeros(len(plant.Gamma))]
     for value in inputs:
         states.append(plant.Phi @ states[-1] + plant.Gamma * value)
     waiting = np.zeros(round(delay * fine / H))
-    late = np.concatenate([waiting, np.repeat(inputs, fine), [0.0]])
-    count = len(inputs) * fine + 1
-    system = ([[0.0, 1.0], [0.0, -k_2]], [[0.0], [K]], np.eye(2), np.zeros((2, 1)))
-    _, expected, _ = lsim(
-        system, late[:count], H / fine * np.arange(count), interp=False
-    )
-    np.testing.assert_allclose(
-        np.array(states)[:, :2], expected[::fine], rtol=1e-8, atol=1e-9
-    )
+    times = H / fine * np.arange(len(inputs) * fine + 1)
+    late = np.concatenate([waiting, np.repeat(inputs, fine), [0.0]])[: len(times)]
+    A = [[0.0, 1.0], [0.0, -k_2]]
+    system = (A, [[0.0], [K]], np.eye(2), np.zeros((2, 1)))
+    _, expected, _ = lsim(system, late, times, interp=False)
+    found = np.array(states)[:, :2]
+    assert_allclose(found, expected[::fine], rtol=1e-8, atol=1e-9)
 
 
 def test_delayed_plant_refuses_more_than_ten_periods_of_delay():
@@ -58,7 +57,7 @@ def test_place_poles_places_the_designed_poles(delay):
     n = len(loop.L)
     poles = np.zeros(n)
     poles[:2] = np.exp(-H / 0.02)
-    np.testing.assert_allclose(np.poly(loop.closed_loop), np.poly(poles), atol=1e-9)
+    assert_allclose(np.poly(loop.closed_loop), np.poly(poles), atol=1e-9)
     command = loop.plant.Gamma * loop.L[0] * 10.0
     settled = np.linalg.solve(np.eye(n) - loop.closed_loop, command)
     assert settled[0] == pytest.approx(10.0, rel=1e-9)
@@ -86,29 +85,30 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
     options = {'order': order, 'process_noise': 2e-3}
     observer = ActiveObserver(loop, **options)
     random = np.random.default_rng(4)
+    plant = loop.plant
     literal = equations.Observer(
-        loop.plant.Phi, loop.plant.Gamma, loop.L, initial_covariance=1e-3, **options
+        plant.Phi, plant.Gamma, loop.L, initial_covariance=1e-3, **options
     )
     literal.reset(1.0)
+    force = 1.0
     for k in range(200):
-        force = 1.0
-        if k > 0:
-            force = random.normal(5.0)
-        variance = 10.0 ** random.uniform(-2, 2)
+        noise_variance = 10.0 ** random.uniform(-2, 2)
         measured = every == 1 or k % every > 0
-        observer.update(force, variance, measured)
-        literal.update(force, variance if measured else np.inf)
-        for name in ('x_est', 'P'):
-            np.testing.assert_allclose(
-                getattr(observer, name), getattr(literal, name), rtol=1e-8, atol=1e-10
-            )
+        variance = np.inf
         if measured:
-            np.testing.assert_allclose(
-                np.ravel(astuple(observer.innovation)),
-                [literal.innovation, literal.prior_variance, literal.variance_used],
-                rtol=1e-8,
-            )
+            variance = noise_variance
+        observer.update(force, noise_variance, measured)
+        literal.update(force, variance)
+        assert_allclose(observer.x_est, literal.x_est, rtol=1e-8, atol=1e-10)
+        assert_allclose(observer.P, literal.P, rtol=1e-8, atol=1e-10)
+        if measured:
+            found = np.ravel(astuple(observer.innovation))
+            expected = [literal.innovation, literal.prior_variance, variance]
+            if k == 0:
+                expected = np.zeros(3)
+            assert_allclose(found, expected, rtol=1e-8)
         assert observer.command(10.0) == pytest.approx(literal.command(10.0), rel=1e-8)
+        force = random.normal(5.0)
 
 
 @njit
@@ -124,25 +124,23 @@ def update_covariance(observers, variances, spaces):
 def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping_rate):
     """R jumps between floor and ceiling: every tick, at random times and every 20 000 ticks."""
     random = np.random.default_rng(11)
-    third = 100_000
-    high = np.concatenate(
-        [
-            np.arange(third) % 2,
-            np.cumsum(random.random(third) < 0.01) % 2,
-            np.arange(third) // 20_000 % 2,
-        ]
-    )
-    observer, fresh = (observer_of(order, damping_rate) for _ in range(2))
+    ticks = np.arange(100_000)
+    at_random_times = np.cumsum(random.random(len(ticks)) < 0.01)
+    jumps = np.concatenate([ticks, at_random_times, ticks // 20_000])
+    R = np.where(jumps % 2, 1e6, 1e-3)
+    observer = observer_of(order, damping_rate)
+    fresh = observer_of(order, damping_rate)
     for each in (observer, fresh):
         each.update(0.0, 0.6)  # begins
-    for variances in np.split(np.where(high, 1e6, 1e-3), 300):
+    for variances in np.split(R, 300):
         update_covariance(observer.records, variances, observer.space)
-        np.testing.assert_array_equal(observer.P, observer.P.T)
+        assert_array_equal(observer.P, observer.P.T)
         sizes = np.sqrt(np.diag(observer.P))
-        assert np.linalg.eigvalsh(observer.P / np.outer(sizes, sizes))[0] > 1e-9
+        correlation = observer.P / np.outer(sizes, sizes)
+        assert np.linalg.eigvalsh(correlation)[0] > 1e-9
     for each in (observer, fresh):
         update_covariance(each.records, np.full(20_000, 0.6), each.space)
-    np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
+    assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
 
 
 def test_active_state_compensates_a_constant_disturbance_and_a_ramp(loop):
@@ -151,8 +149,10 @@ def test_active_state_compensates_a_constant_disturbance_and_a_ramp(loop):
     ramp = 1e-4 * np.arange(3000)
     assert force_error(loop, 0, constant)[0] > 0.5
     error, x_est = force_error(loop, 1, constant)
-    assert error < 1e-6 and x_est[-1] == pytest.approx(0.05, rel=1e-4)
-    assert force_error(loop, 2, ramp)[0] < 0.05 * force_error(loop, 1, ramp)[0]
+    assert error < 1e-6
+    assert x_est[-1] == pytest.approx(0.05, rel=1e-4)
+    error_of_first_order, _ = force_error(loop, 1, ramp)
+    assert force_error(loop, 2, ramp)[0] < 0.05 * error_of_first_order
 
 
 def test_continue_from_predicts_with_the_input_that_acts(loop):
@@ -168,18 +168,15 @@ def test_continue_from_predicts_with_the_input_that_acts(loop):
     continue_observers_from(new.records, old.records)
     for observer in (new, unchanged):
         observer.update(7.0, 0.6)
-    np.testing.assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(new.P, unchanged.P, rtol=1e-12)
+    assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
+    assert_allclose(new.P, unchanged.P, rtol=1e-12)
 
 
 def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loop):
     observers = make_observers([design_observer(loop)] * 2)
     observers['running'] = True
     observers['x_est'][:, :6] = [8.0, 3.0, 0.1, 0.2, 0.3, 0.7]
-    continue_observers_after_pause(
-        observers, np.array([True, False]), np.array([5.0, 6.0])
-    )
+    forces = np.array([5.0, 6.0])
+    continue_observers_after_pause(observers, np.array([True, False]), forces)
     assert observers['running'].tolist() == [True, False]
-    np.testing.assert_array_equal(
-        observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7]
-    )
+    assert_array_equal(observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7])

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from functools import cache
+from itertools import product
 import re
 import shlex
 
@@ -44,7 +45,9 @@ from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
 from multicontact_control.registry import FORCE_LAWS
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose, assert_equal
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 H, K, DELAY = 0.002, 6000.0, 0.006
 SPACE = np.zeros(1, dtype=FORCE_SPACE)[0]
@@ -67,107 +70,109 @@ INTEGRATING = ('aob', 'pi', 'dob', 'lqg', 'admittance')
 
 
 def config_of(law, **force):
-    return resolve(
-        'quick', controller={'force': {'law': law, 'damping_rate': 100.0, **force}}
-    ).controller
+    gains = {'law': law, 'damping_rate': 100.0, **force}
+    return resolve('quick', controller={'force': gains}).controller
+
+
+def linear_law(design, noise_variance=0.6):
+    """Return a design as a linear law, which the AOB is once its gain has settled."""
+    if isinstance(design, LinearLaw):
+        return design
+    return make_steady_law(design, solve_steady_gain(design, noise_variance))
 
 
 def law_of(name, **force):
     config = config_of(name, **force)
-    design = design_law(name, config.force, make_loop_model(config, K))
-    return (
-        design
-        if isinstance(design, LinearLaw)
-        else make_steady_law(design, solve_steady_gain(design, 0.6))
-    )
+    return linear_law(design_law(name, config.force, make_loop_model(config, K)))
 
 
-def run_steps(law, alphas, desired, speeds, extra=None):
-    """Return what the compiled law answers to series."""
+def run_steps(law, inputs, extra):
+    """Return what the compiled law answers to alpha, alpha_des and speed, shape (3,) each."""
     record = law.record()[0]
     contact = np.zeros(1, dtype=CONTACT)[0]
-    answers = []
-    for k, values in enumerate(zip(alphas, desired, speeds)):
-        contact['alpha_meas'], contact['answer']['alpha_des'] = values[:2]
-        if k and extra is not None:
-            record['extra'] = extra[k - 1]
-        u = step_linear_law(record, contact, values[2], np.empty(MAX_STATES))
-        answers.append(
-            (u, float(contact['answer']['alpha_est']), float(record['p_est']))
-        )
-    return np.array(answers)
+    answer = contact['answer']
+    outputs = []
+    for values, late in zip(inputs, extra):
+        contact['alpha_meas'], answer['alpha_des'], speed = values
+        record['extra'] = late
+        u = step_linear_law(record, contact, speed, np.empty(MAX_STATES))
+        outputs.append([u, float(answer['alpha_est']), float(record['p_est'])])
+    return np.array(outputs)
 
 
-def series(seed=3, count=200):
-    random = np.random.default_rng(seed)
-    return (
-        10.0 + random.standard_normal(count),
-        np.full(count, 12.0),
-        0.01 * random.standard_normal(count),
-    )
+@pytest.fixture
+def inputs():
+    """Return alpha, alpha_des and speed of 200 ticks, shape (200, 3)."""
+    inputs = np.random.default_rng(3).standard_normal((200, 3))
+    inputs *= [1.0, 0.0, 0.01]
+    inputs += [10.0, 12.0, 0.0]
+    return inputs
+
+
+def integrate(values):
+    """Return the integral up to every tick, by the trapezoidal rule."""
+    return cumulative_trapezoid(values, dx=H, initial=0.0)
 
 
 @pytest.mark.parametrize('name', LINEAR)
-def test_compiled_law_is_its_matrices(name):
+def test_compiled_law_is_its_matrices(name, inputs):
     law = law_of(name)
-    alphas, desired, speeds = series()
-    extra = np.random.default_rng(5).standard_normal(len(alphas))
-    outputs = run_steps(law, alphas, desired, speeds, extra)
-    x = law.start_force * alphas[0]
-    for k, y in enumerate(zip(alphas, desired, speeds)):
-        x = x + (law.E * extra[k - 1] if k else 0.0)
-        np.testing.assert_allclose(
-            outputs[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12
-        )
+    extra = np.random.default_rng(5).standard_normal(len(inputs))
+    extra[0] = 0.0
+    outputs = run_steps(law, inputs, extra)
+    x = law.start_force * inputs[0, 0]
+    for output, y, late in zip(outputs, inputs, extra):
+        x = x + law.E * late
+        assert_allclose(output, law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12)
         x = law.A @ x + law.B @ y
 
 
-def test_pi_is_proportional_and_integral():
-    alphas, desired, speeds = series()
-    outputs = run_steps(
-        law_of('pi', pi={'filter_cutoff': 0.0}), alphas, desired, speeds
-    )[:, 0]
+def test_pi_is_proportional_and_integral(inputs):
+    law = law_of('pi', pi={'filter_cutoff': 0.0})
+    outputs = run_steps(law, inputs, np.zeros(200))
     gain = 24.0 * 100.0 / K
+    alphas, desired, _ = inputs.T
     error = desired - alphas
-    integral = np.concatenate([[0.0], np.cumsum(0.5 * H * (error[1:] + error[:-1]))])
     # At the start only the force counts as known, and the command comes as a step.
-    expected = gain * error + 5.0 * gain * (integral + 0.5 * H * desired[0])
-    np.testing.assert_allclose(outputs, expected, rtol=1e-9)
+    integral = integrate(error) + 0.5 * H * desired[0]
+    expected = gain * (error + 5.0 * integral)
+    assert_allclose(outputs[:, 0], expected, rtol=1e-9)
 
 
-def test_impedance_is_a_spring_from_the_touch_on():
-    alphas, desired, speeds = series()
-    outputs = run_steps(law_of('impedance'), alphas, desired, speeds)[:, 0]
-    depth = (
-        alphas[0] / K
-        + np.concatenate([[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))])
-        + 0.5 * H * speeds[0]
-    )
-    np.testing.assert_allclose(outputs, 900.0 * (desired / K - depth), rtol=1e-9)
+def test_impedance_is_a_spring_from_the_touch_on(inputs):
+    outputs = run_steps(law_of('impedance'), inputs, np.zeros(200))
+    alphas, desired, speeds = inputs.T
+    depth = alphas[0] / K + integrate(speeds) + 0.5 * H * speeds[0]
+    assert_allclose(outputs[:, 0], 900.0 * (desired / K - depth), rtol=1e-9)
 
 
 def one_contact(desired):
     """Return the records of an active contact along z and its control; R = 0.6."""
     contacts = np.zeros(1, dtype=CONTACT)
     control = np.zeros(1, dtype=CONTROL)
-    contacts['answer']['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-    contacts['noise_variance'], contacts['answer']['alpha_des'] = 0.6, desired
-    control['measured'], contacts['mobility'] = True, 1.0
+    contacts['answer']['active'] = True
+    contacts['answer']['alpha_des'] = desired
+    contacts['N'] = np.eye(6)[2]
+    contacts['noise_variance'] = 0.6
+    contacts['mobility'] = 1.0
+    control['measured'] = True
     return contacts, control
 
 
-def hold(laws, ticks, *, disturbance, desired=10.0, state=None):
-    """Let the compiled laws of one contact hold a force on a delayed plant."""
-    contacts, control = one_contact(desired)
+def hold(laws, ticks, state=None):
+    """Let the laws of one contact hold 10 N on a delayed plant that 0.5 m/s^2 disturb."""
+    contacts, control = one_contact(10.0)
     plant = make_delayed_plant(K, 100.0, DELAY, H)
-    x = desired * np.eye(len(plant.Gamma))[0] if state is None else state
+    x = state
+    if x is None:
+        x = 10.0 * np.eye(len(plant.Gamma))[0]
     inputs = np.empty(1)
     forces = []
     for _ in range(ticks):
         contacts['alpha_meas'] = x[0]
         control['frame']['twist'][0, 2] = x[1] / K
         answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
-        x = plant.Phi @ x + plant.Gamma * (inputs[0] + disturbance)
+        x = plant.Phi @ x + plant.Gamma * (inputs[0] + 0.5)
         forces.append(x[0])
     return np.array(forces), x
 
@@ -180,7 +185,7 @@ def laws_of(name, **force):
 def settled(name):
     """Return a law after 8 s of 0.5 m/s^2, its forces and the plant's state: not to be changed."""
     laws = laws_of(name)
-    return laws, *hold(laws, 4000, disturbance=0.5)
+    return laws, *hold(laws, 4000)
 
 
 @pytest.mark.parametrize('name', FORCE_LAWS)
@@ -198,114 +203,121 @@ def test_law_compensates_a_constant_disturbance_if_it_integrates(name):
 @pytest.mark.parametrize(
     ('before', 'after'),
     [
-        *(('aob', after) for after in INTEGRATING),
-        *((before, 'dob') for before in INTEGRATING[1:]),
+        *product(['aob'], INTEGRATING),
+        *product(INTEGRATING[1:], ['dob']),
     ],
 )
 def test_law_that_takes_over_knows_force_and_disturbance(before, after):
     """At rest under a disturbance that by itself moves the force by more than half a newton."""
-    laws, before_it, x = settled(before)
+    laws, held, x = settled(before)
     new = laws_of(after)
-    unaware = laws_of(after)
     continue_laws(new, laws)
-    forces, _ = hold(new, 500, disturbance=0.5, state=x)
-    assert np.abs(forces - before_it[-1]).max() < 0.4
+    forces, _ = hold(new, 500, state=x)
+    assert np.abs(forces - held[-1]).max() < 0.4
     if after in ('pi', 'dob'):
-        forces, _ = hold(unaware, 500, disturbance=0.5, state=x)
-        assert np.abs(forces - before_it[-1]).max() > 0.5
+        forces, _ = hold(laws_of(after), 500, state=x)
+        assert np.abs(forces - held[-1]).max() > 0.5
+
+
+def estimate_disturbance(name, aware):
+    """Return what a law takes for a disturbance where its whole answer is clipped [m/s^2]."""
+    laws = laws_of(name)
+    inputs = np.empty(1)
+    contacts, control = one_contact(20.0)
+    for _ in range(100):
+        answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
+        if aware:
+            add_extra_acceleration(laws, np.array([True]), -inputs)
+    law = laws[0]
+    if law['is_linear']:
+        return abs(law['linear']['p_est'])
+    observer = law['observer']
+    return abs(observer['x_est'][observer['design']['states'] - 1])
 
 
 @pytest.mark.parametrize('name', ['aob', 'dob', 'lqg'])
 def test_law_knows_what_acts_beyond_its_answer(name):
-    estimates = []
-    for aware in (True, False):
-        laws = laws_of(name)
-        inputs = np.empty(1)
-        (contacts, control) = one_contact(20.0)
-        for _ in range(100):  # everything is clipped: nothing moves
-            answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
-            if aware:
-                add_extra_acceleration(laws, np.array([True]), -inputs)
-        part = (
-            laws[0]['linear']['p_est']
-            if laws['is_linear'][0]
-            else (
-                laws[0]['observer']['x_est'][
-                    laws[0]['observer']['design']['states'] - 1
-                ]
-            )
-        )
-        estimates.append(abs(float(part)))
-    assert estimates[0] < 0.02 < 0.1 < estimates[1]
+    assert estimate_disturbance(name, aware=True) < 0.02
+    assert estimate_disturbance(name, aware=False) > 0.1
 
 
-@pytest.mark.parametrize('name', [name for name in FORCE_LAWS if name != 'feedforward'])
-def test_margins_are_where_the_loop_becomes_unstable(name):
-    config = config_of(name)
+def radius(law, model, ratio=1.0):
+    return spectral_radius(closed_loop_matrix(law, model, ratio))
+
+
+WITH_MARGINS = [name for name in FORCE_LAWS if name != 'feedforward']
+
+
+@pytest.mark.parametrize('name', WITH_MARGINS)
+def test_gain_margin_is_where_the_loop_becomes_unstable(name):
     law = law_of(name)
-    model = make_loop_model(config, K)
-    margins = find_margins(law, model)
-    (_, stiffest) = find_stable_ratios(law, model)
-    if np.isfinite(stiffest):
-        assert spectral_radius(closed_loop_matrix(law, model, 0.98 * stiffest)) < 1.0
-        assert spectral_radius(closed_loop_matrix(law, model, 1.02 * stiffest)) > 1.0
-        if (
-            name != 'impedance'
-        ):  # which reads the speed, that does not grow with the stiffness
-            assert margins.gain == pytest.approx(stiffest, rel=0.01)
-    for share, stable in ((0.97, True), (1.03, False)):
-        delay = DELAY + share * margins.delay
-        if delay > 10 * H:
-            continue
-        late = make_loop_model(config_of(name, input_delay=delay), K)
-        assert (spectral_radius(closed_loop_matrix(law, late)) < 1.0 + 1e-9) == stable
+    model = make_loop_model(config_of(name), K)
+    _, stiffest = find_stable_ratios(law, model)
+    if np.isinf(stiffest):
+        return
+    assert radius(law, model, 0.98 * stiffest) < 1.0
+    assert radius(law, model, 1.02 * stiffest) > 1.0
+    if (
+        name != 'impedance'
+    ):  # it reads the speed, which does not grow with the stiffness
+        assert find_margins(law, model).gain == pytest.approx(stiffest, rel=0.01)
+
+
+@pytest.mark.parametrize('name', WITH_MARGINS)
+@pytest.mark.parametrize(('share', 'stable'), [(0.97, True), (1.03, False)])
+def test_delay_margin_is_where_the_loop_becomes_unstable(name, share, stable):
+    law = law_of(name)
+    margins = find_margins(law, make_loop_model(config_of(name), K))
+    delay = DELAY + share * margins.delay
+    if delay > 10 * H:
+        return
+    late = make_loop_model(config_of(name, input_delay=delay), K)
+    assert (radius(law, late) < 1.0 + 1e-9) == stable
+
+
+@cache
+def design_of(name):
+    """Return the design of a law for 2000 to 8000 N/m, with R = 2."""
+    return design_for_range(
+        name, stiffness=(2000.0, 8000.0), input_delay=DELAY, noise_variance=2.0
+    )
 
 
 @pytest.mark.parametrize('name', FORCE_LAWS)
-def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_read(
-    tmp_path, name
-):
-    """A law knows no contacts: their stiffness is in a setting beside its file."""
-    result = design_for_range(
-        name, stiffness=(2000.0, 8000.0), input_delay=DELAY, noise_variance=2.0
-    )
-    force = ForceConfig(**result.values)
+def test_design_for_a_range_has_its_margins_on_every_surface(name):
+    ranged = design_of(name)
+    force = ForceConfig(**ranged.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
-    design = design_law(name, force, make_loop_model(config, result.stiffness))
-    law = (
-        design
-        if isinstance(design, LinearLaw)
-        else make_steady_law(design, solve_steady_gain(design, 2.0))
-    )
+    model = make_loop_model(config, ranged.stiffness)
+    law = linear_law(design_law(name, force, model), 2.0)
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
-        model = make_loop_model(config, stiffness)
-        assert spectral_radius(closed_loop_matrix(law, model)) < 1.0 + 1e-9
-    late = make_loop_model(
-        config.model_copy(
-            update={'force': force.model_copy(update={'input_delay': DELAY + 0.99 * H})}
-        ),
-        8000.0,
-    )
-    assert spectral_radius(closed_loop_matrix(law, late)) < 1.0 + 1e-9
+        assert radius(law, make_loop_model(config, stiffness)) < 1.0 + 1e-9
+    late = force.model_copy(update={'input_delay': DELAY + 0.99 * H})
+    model = make_loop_model(config.model_copy(update={'force': late}), 8000.0)
+    assert radius(law, model) < 1.0 + 1e-9
+
+
+@pytest.mark.parametrize('name', FORCE_LAWS)
+def test_design_for_a_range_is_read_back_from_its_file(tmp_path, name):
+    """A law knows no contacts: their stiffness is in a setting beside its file."""
+    ranged = design_of(name)
     path = tmp_path / 'law.yaml'
-    write_design(result, path)
-    for text in (describe_design(result), path.read_text()):
+    write_design(ranged, path)
+    stiffness = pytest.approx(ranged.stiffness, abs=0.5)
+    for text in (describe_design(ranged), path.read_text()):
         _, setting = shlex.split(re.search(r"--set '[^']+'", text)[0])
-        read = SetupOptions(
-            scenario='quick', preset=str(path), settings=[setting]
-        ).setup()
-        assert read.controller.force == force
-        assert [
-            x.stiffness for x in read.controller.contacts.values()
-        ] == pytest.approx([result.stiffness] * 2, abs=0.5)
+        options = SetupOptions(scenario='quick', preset=str(path), settings=[setting])
+        read = options.setup().controller
+        assert read.force == ForceConfig(**ranged.values)
+        for contact in read.contacts.values():
+            assert contact.stiffness == stiffness
 
 
 def test_every_law_has_ranges_to_tune_it_in_and_a_preset():
     names = set(FORCE_LAWS)
-    assert set(read_yaml(find_config_folder() / 'tuning.yaml')) == names
-    presets = {
-        path.stem for path in (find_config_folder() / 'presets/laws').glob('*.yaml')
-    }
+    folder = find_config_folder()
+    assert read_yaml(folder / 'tuning.yaml').keys() == names
+    presets = {path.stem for path in (folder / 'presets/laws').glob('*.yaml')}
     assert presets == names - {'aob'}  # `paper`, `best`, `adaptive`
 
 
@@ -316,10 +328,10 @@ def test_design_depends_on_the_gains_that_its_law_says_it_reads_and_on_no_others
     before = design_law(name, config.force, model)
     for field, other in OTHER_GAINS.items():
         force = config.force.model_copy(update={field: other})
-        direct = find_law(name).design(model, force)
+        law = find_law(name)
         design = design_law(name, force, model)
-        assert (design is before) == (field not in find_law(name).reads), field
-        np.testing.assert_equal(asdict(design), asdict(direct))
+        assert (design is before) == (field not in law.reads), field
+        assert_equal(asdict(design), asdict(law.design(model, force)))
 
 
 def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
@@ -330,10 +342,8 @@ def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
         force = config.force.model_copy(update={field: OTHER_GAINS[field]})
         make_force_laws(config.model_copy(update={'force': force}))
     assert find_largest_stiffness_ratio.cache_info().misses == known
-    force = config.force.model_copy(
-        update={'time_constant': OTHER_GAINS['time_constant']}
-    )
-    limits = make_force_laws(config.model_copy(update={'force': force}))['stiffness'][
-        'config'
-    ]
-    assert (limits['ratio_limit'] != laws['stiffness']['config']['ratio_limit']).all()
+    read = {'time_constant': OTHER_GAINS['time_constant']}
+    force = config.force.model_copy(update=read)
+    changed = make_force_laws(config.model_copy(update={'force': force}))
+    limits = changed['stiffness']['config']['ratio_limit']
+    assert (limits != laws['stiffness']['config']['ratio_limit']).all()

@@ -8,7 +8,7 @@ from browser import Tab
 from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError
 from multicontact_control.files import replace_json_file
-from multicontact_control.judging import report
+from multicontact_control.judging import figure_files, report
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.page import render_figure, thin_series, write_page
 from multicontact_control.judging.panels import Panel, RunFigure, Trace
@@ -94,7 +94,7 @@ def test_run_is_loaded_by_text_and_one_without_a_summary_is_said_to_be_one(
 def test_report_of_two_runs_has_figures_of_both_and_one_table(
     folder, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(report, 'FIGURE_FORMATS', ('png',))
+    monkeypatch.setattr(figure_files, 'FIGURE_FORMATS', ('png',))
     run = load_run(folder)
     runs = [run._replace(folder=tmp_path / name / 'first') for name in 'ab']
     page, *figures = report.write_report(runs, tmp_path / 'out')
@@ -156,7 +156,7 @@ def test_envelope_keeps_every_peak_and_its_place():
 @pytest.mark.browser
 @pytest.mark.nightly
 def test_report_in_a_browser(folder, chromium, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, 'FIGURE_FORMATS', ('png',))
+    monkeypatch.setattr(figure_files, 'FIGURE_FORMATS', ('png',))
     path = report.write_report([load_run(folder)], tmp_path)[0]
     opened = Tab(chromium, path.as_uri(), viewport={'width': 1240, 'height': 900})
     tab = opened.page

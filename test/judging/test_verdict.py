@@ -7,13 +7,13 @@ import re
 
 from canonical_runs import run_of
 from multicontact_control.cli.run import end_by_verdict
+from multicontact_control.judging import figure_files
 from multicontact_control.judging.claims import judge_claims_of_run
 from multicontact_control.judging.display import (
     list_summary_rows,
     list_verdict_lines,
     print_summary,
 )
-from multicontact_control.judging.figure_files import draw_figures
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_figures import describe_figures, list_shaded_spans
 from multicontact_control.judging.run_modes import INTERRUPTED
@@ -519,11 +519,12 @@ def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
     assert '5 claims not judged by one run' in table
 
 
-def test_figures_of_a_plane_have_legal_file_names(tmp_path):
+def test_figures_of_a_plane_have_legal_file_names(tmp_path, monkeypatch):
     setup = resolve('plane', plant='rigid', duration=10.0)
     data = perfect_run(setup)
     summary = summarise(data, setup)
-    draw_figures(RunMetrics(data, setup), summary, tmp_path, formats=('png',))
+    monkeypatch.setattr(figure_files, 'FIGURE_FORMATS', ('png',))
+    figure_files.draw_figures(RunMetrics(data, setup), summary, tmp_path)
     assert {path.stem for path in tmp_path.iterdir()} == {
         'fig3_force_face',
         'fig4_force_face_along',

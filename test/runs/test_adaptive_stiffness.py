@@ -4,6 +4,7 @@ from canonical_runs import run_of, summary_of
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 pytestmark = pytest.mark.slow
@@ -51,11 +52,11 @@ def test_adaptive_steps_are_the_same_on_every_surface(plant, stiffness):
     setup = setup_of(plant, stiffness, seed=31)
     data = run_of(setup).data
     contacts = summary_of(setup)['contacts']
-    slowest = 0.13 if stiffness < 1000.0 else 0.07
-    felt = {
-        'table': stiffness,
-        'board': 1.0 / (1.0 / stiffness + 1.0 / ARM[plant]),
-    }
+    slowest = 0.07
+    if stiffness < 1000.0:
+        slowest = 0.13
+    series = 1.0 / (1.0 / stiffness + 1.0 / ARM[plant])
+    felt = {'table': stiffness, 'board': series}
     rest = slice(round(4.5 * data.rate), None)
     for contact, name in enumerate(data.contact_names):
         first, second = contacts[name]['steps']
@@ -67,7 +68,7 @@ def test_adaptive_steps_are_the_same_on_every_surface(plant, stiffness):
         assert data.stiffness_std[rest, contact][0] < 0.2 * felt[name]
         assert data.margin[rest, contact][0] > 1.0
         used = data.stiffness[rest, contact]
-        np.testing.assert_allclose(used, used[0], rtol=0.004)  # no drift
+        assert_allclose(used, used[0], rtol=0.004)  # no drift
         assert longest_gap(data, contact) <= 0.06
 
 
@@ -95,11 +96,8 @@ def test_adaptive_crosses_a_border_between_soft_and_hard_while_sliding():
                 for contact in (0, 1):
                     loop.plant.contacts.scale_stiffness(contact, factor**0.1)
 
-    data = run_in_process(
-        setup_of('puma', 1000.0, seed=33, duration=13.0, motion=True),
-        supervised=True,
-        disturb=disturb,
-    ).data
+    setup = setup_of('puma', 1000.0, seed=33, duration=13.0, motion=True)
+    data = run_in_process(setup, supervised=True, disturb=disturb).data
     for begin, end in ((9.8, 11.5), (11.8, 13.0)):
         window = (data.time >= begin) & (data.time < end)
         assert largest_rms(data.alpha_true[window] - 15.0) < 2.0
@@ -109,9 +107,8 @@ def test_adaptive_crosses_a_border_between_soft_and_hard_while_sliding():
 @pytest.mark.parametrize('ratio', [0.05, 20.0])
 def test_best_does_not_oscillate_however_wrong_its_stiffness(ratio):
     """At rest; a step on a surface that is far too stiff throws the tip back, for a moment."""
-    data = run_of(
-        setup_of('puma', ratio * 6000.0, seed=36, preset='best', duration=5.5)
-    ).data
+    setup = setup_of('puma', ratio * 6000.0, seed=36, preset='best', duration=5.5)
+    data = run_of(setup).data
     assert largest_rms(data.alpha_true[data.time > 4.5] - 15.0) < 0.3
     pressed = data.part(round(1.7 * data.rate), data.ticks)
     for contact in (0, 1):

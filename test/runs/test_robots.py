@@ -6,6 +6,7 @@ from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.sensor.push_test import PHASE_TIME, PushTestConfig
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from robots import needs_mujoco, OTHERS
 from sim_bridge.robots import find_robot
@@ -52,7 +53,7 @@ def test_engines_agree_in_the_loop_and_on_their_own_contacts():
     bullet_data, bullet = run(robot='panda')
     mujoco_data, mujoco = run(robot='panda', plant_overrides=same)
     _, smooth = run(robot='panda', plant_overrides=native)
-    np.testing.assert_allclose(bullet_data.q, mujoco_data.q, atol=1e-3)
+    assert_allclose(bullet_data.q, mujoco_data.q, atol=1e-3)
     for contact in (0, 1):
         for window in ('rest', 'moving'):
             error = bullet[contact][window]['true_error_rms_n']
@@ -95,7 +96,7 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
         loop.advance()
         forces.append(loop.sample.contact_force)
     last = forces[-round(0.2 * rate) :]
-    np.testing.assert_allclose(np.mean(last, axis=0), 10.0, atol=0.5)
+    assert_allclose(np.mean(last, axis=0), 10.0, atol=0.5)
     loop.advance(outlier)
     for _ in range(round(0.5 * rate)):
         loop.advance()

@@ -1,6 +1,6 @@
 """Scenarios, presets, and values laid over everything by name."""
 
-from multicontact_control.config import read_parameters, read_yaml
+from multicontact_control.config import merge, read_parameters, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.judging.judged_run import simulation_parameters
 from multicontact_control.paths import find_config_folder
@@ -13,19 +13,17 @@ from multicontact_control.runs.scenario import preset_values, resolve
 import pytest
 import yaml
 
-NAMES = [
-    path.relative_to(find_config_folder() / 'presets').with_suffix('').as_posix()
-    for path in sorted((find_config_folder() / 'presets').rglob('*.yaml'))
+CONFIG = find_config_folder()
+SCENARIOS = [path.stem for path in sorted((CONFIG / 'scenarios').glob('*.yaml'))]
+PRESETS = [
+    path.relative_to(CONFIG / 'presets').with_suffix('').as_posix()
+    for path in sorted((CONFIG / 'presets').rglob('*.yaml'))
 ]
 
 
-@pytest.mark.parametrize(
-    'path',
-    sorted((find_config_folder() / 'scenarios').glob('*.yaml')),
-    ids=lambda path: path.stem,
-)
-def test_every_scenario_resolves_and_is_named_as_its_file(path):
-    assert resolve(path.stem).scenario.name == path.stem
+@pytest.mark.parametrize('name', SCENARIOS)
+def test_every_scenario_resolves_and_is_named_as_its_file(name):
+    assert resolve(name).scenario.name == name
 
 
 @pytest.mark.parametrize(
@@ -65,7 +63,7 @@ def test_every_scenario_resolves_and_is_named_as_its_file(path):
 )
 def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
     path = tmp_path / 'mine.yaml'
-    values = {**read_yaml(find_config_folder() / 'scenarios' / 'quick.yaml'), **changes}
+    values = read_yaml(CONFIG / 'scenarios/quick.yaml') | changes
     path.write_text(yaml.safe_dump(values), encoding='utf-8')
     with pytest.raises(ConfigError, match=message) as caught:
         setup = resolve(str(path))
@@ -76,74 +74,70 @@ def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
 def test_motion_along_a_normal_is_accepted_once_its_contact_is_let_go():
     steps = [{'time': 2.0, 'forces': {'table': 0.0}}]
     motion = {'start_time': 2.5, 'direction_world': [0.0, 0.0, 1.0]}
-    setup = resolve(
-        'quick',
-        scenario_overrides={'reference': {'force_steps': steps, 'motion': motion}},
-    )
+    reference = {'force_steps': steps, 'motion': motion}
+    setup = resolve('quick', scenario_overrides={'reference': reference})
     assert setup.scenario.reference.motion.direction_world == (0.0, 0.0, 1.0)
 
 
-@pytest.mark.parametrize('name', NAMES)
+@pytest.mark.parametrize('name', PRESETS)
 def test_preset_says_what_it_sets_and_nothing_else_changes(name):
     plain = resolve('quick')
     setup = resolve('quick', preset=name)
     given = preset_values(name)
     for part in ('controller', 'noise_estimator'):
-        values, before = (getattr(each, part).model_dump() for each in (setup, plain))
-        assert {key for key in values if values[key] != before[key]} <= set(given[part])
+        values = getattr(plain, part).model_dump()
+        changed = getattr(setup, part).model_dump()
+        for key in given[part]:
+            values[key] = changed[key]
+        assert changed == values
     force = setup.controller.model_dump()['force']
-    assert force == {
-        key: force[key] | value if isinstance(value, dict) else value
-        for key, value in {**force, **given['controller']['force']}.items()
-    }
+    assert merge(force, given['controller']['force']) == force
+
+
+BOUNDS = {'smallest': 0.2, 'largest': 400.0}
 
 
 def test_estimator_has_the_bounds_of_the_controllers_variances():
-    bounds = {'smallest': 0.2, 'largest': 400.0}
-    setup = resolve('quick', controller={'noise_variance': bounds})
+    setup = resolve('quick', controller={'noise_variance': BOUNDS})
     assert setup.noise_estimator.noise_variance == setup.controller.noise_variance
     assert setup.controller.noise_variance.largest == 400.0
-    with pytest.raises(
-        ConfigError,
-        match=(
-            "noise_estimator.noise_variance: expected the controller's 0.1 to 1000 N.2, "
-            'got 0.2 to 400 N'
-        ),
-    ):
-        resolve('quick', noise_estimator={'noise_variance': bounds})
-    with pytest.raises(
-        ConfigError, match='initial_noise_variance: expected 0.7 to 1000 N.2'
-    ):
+
+
+def test_other_bounds_of_the_estimator_than_the_controllers_are_refused():
+    expected = "the controller's 0.1 to 1000 N.2, got 0.2 to 400 N"
+    with pytest.raises(ConfigError, match=f'noise_variance: expected {expected}'):
+        resolve('quick', noise_estimator={'noise_variance': BOUNDS})
+
+
+def test_initial_variance_beyond_its_bounds_is_refused():
+    expected = 'initial_noise_variance: expected 0.7 to 1000 N.2'
+    with pytest.raises(ConfigError, match=expected):
         resolve('quick', controller={'noise_variance': {'smallest': 0.7}})
 
 
 def test_preset_paper_is_as_published():
     force = resolve('paper', preset='paper').controller.force
-    assert (
-        force.allocation,
-        force.projection,
-        force.fed_forward,
-        force.active_state_order,
-        force.process_noise,
-        force.time_constant,
-    ) == ('paper', 'euclidean', 'estimate', 1, 1e-3, 0.02)
+    assert force.allocation == 'paper'
+    assert force.projection == 'euclidean'
+    assert force.fed_forward == 'estimate'
+    assert force.active_state_order == 1
+    assert force.process_noise == 1e-3
+    assert force.time_constant == 0.02
 
 
-def test_best_is_the_default_and_options_go_before_a_preset():
+def test_best_is_the_default():
     best = resolve('quick', preset='best')
     plain = resolve('quick')
-    assert (best.controller, best.noise_estimator) == (
-        plain.controller,
-        plain.noise_estimator,
-    )
-    force = resolve(
-        'quick', preset='paper', controller={'force': {'damping_rate': 60.0}}
-    ).controller.force
-    assert (force.law, force.damping_rate, force.fed_forward) == (
-        'aob',
-        60.0,
-        'estimate',
-    )
+    assert best.controller == plain.controller
+    assert best.noise_estimator == plain.noise_estimator
+
+
+def test_options_go_before_a_preset():
+    options = {'force': {'damping_rate': 60.0}}
+    force = resolve('quick', preset='paper', controller=options).controller.force
+    assert force.law == 'aob'
+    assert force.damping_rate == 60.0
+    assert force.fed_forward == 'estimate'
 
 
 @pytest.mark.parametrize(
@@ -173,20 +167,17 @@ def test_settings_reach_every_part():
             'controller.torque_limit=[1, 2, 3, 4, 5, 6]',
         ],
     )
-    assert {surface.stiffness for surface in setup.plant.surfaces.values()} == {
-        60_000.0
-    }
-    assert (setup.controller.force.law, setup.controller.force.damping_rate) == (
-        'dob',
-        60.0,
-    )
+    for surface in setup.plant.surfaces.values():
+        assert surface.stiffness == 60_000.0
+    assert setup.controller.force.law == 'dob'
+    assert setup.controller.force.damping_rate == 60.0
     assert setup.controller.torque_limit == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    assert (setup.noise_estimator.estimator, setup.scenario.duration) == ('fixed', 3.0)
+    assert setup.noise_estimator.estimator == 'fixed'
+    assert setup.scenario.duration == 3.0
 
 
 @pytest.mark.ros
 def test_settings_reach_what_only_a_node_knows():
-    """Every parameter of the reference is taken, or what sets it in a run is named."""
     setup = resolve_with(
         resolve,
         {'scenario': 'quick'},
@@ -204,14 +195,16 @@ def test_settings_reach_what_only_a_node_knows():
     assert parameters['noise_estimator_node'] == {'fifo_priority': 7}
     assert parameters['sim_node'] == {'payload': 0.5}
     assert setup.controller.force.damping_rate == 60.0
+
+
+@pytest.mark.ros
+def test_setting_of_a_parameter_that_a_run_sets_says_how_it_is_set():
+    """With the test before: every parameter of the reference is taken, or what sets it named."""
     for section, config in node_configs().items():
         for name in config.model_fields.keys() & SET_BY_RUN.keys():
-            with pytest.raises(
-                ConfigError, match=f'--set {section}.{name}: .*(give|set|run)'
-            ):
-                resolve_with(
-                    resolve, {'scenario': 'quick'}, [f'{section}.{name}=1'], nodes=True
-                )
+            key = f'{section}.{name}'
+            with pytest.raises(ConfigError, match=f'--set {key}: .*(give|set|run)'):
+                resolve_with(resolve, {'scenario': 'quick'}, [f'{key}=1'], nodes=True)
 
 
 @pytest.mark.parametrize(
@@ -256,14 +249,17 @@ def test_setting_of_a_node_is_named_as_one_where_there_is_no_node(setting, messa
 @pytest.mark.ros
 def test_settings_of_nodes_are_in_the_files_of_a_run(tmp_path):
     settings = ['controller.patience=3', 'controller.command.force_ceiling=20']
-    for chosen in ([], settings):
-        setup = resolve_with(resolve, {'scenario': 'quick'}, chosen, nodes=True)
-        setup.write(tmp_path)
-        assert (tmp_path / 'nodes.yaml').is_file() == bool(chosen)
-    assert read_parameters(tmp_path / 'nodes.yaml') == {
-        'patience': 3,
-        'command': {'force_ceiling': 20},
-    }
+    setup = resolve_with(resolve, {'scenario': 'quick'}, settings, nodes=True)
+    setup.write(tmp_path)
+    expected = {'patience': 3, 'command': {'force_ceiling': 20}}
+    assert read_parameters(tmp_path / 'nodes.yaml') == expected
+
+
+@pytest.mark.ros
+def test_run_without_settings_of_nodes_has_no_file_of_them(tmp_path):
+    setup = resolve_with(resolve, {'scenario': 'quick'}, [], nodes=True)
+    setup.write(tmp_path)
+    assert not (tmp_path / 'nodes.yaml').exists()
 
 
 @pytest.mark.parametrize(
@@ -281,7 +277,6 @@ def test_settings_of_nodes_are_in_the_files_of_a_run(tmp_path):
     ],
 )
 def test_bad_setting_is_refused(setting, message):
+    options = {'scenario': 'quick', 'plant': 'rigid', 'duration': 4.0}
     with pytest.raises(ConfigError, match=message):
-        resolve_with(
-            resolve, {'scenario': 'quick', 'plant': 'rigid', 'duration': 4.0}, [setting]
-        )
+        resolve_with(resolve, options, [setting])

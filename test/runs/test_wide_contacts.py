@@ -7,6 +7,7 @@ from multicontact_control.judging.verdict import judge_run, STABLE
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 pytestmark = pytest.mark.slow
@@ -37,11 +38,21 @@ def rms(errors):
     return np.sqrt(np.mean(errors**2))
 
 
+def rest(loop, k):
+    """Let nothing happen to the surfaces."""
+
+
 def press(
-    changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, motion=None
+    changes,
+    *,
+    ticks,
+    disturb=rest,
+    surfaces=None,
+    names=('table', 'board'),
+    motion=None,
 ):
-    """Return the error of the last contact's true force while something happens [N]."""
-    names = ['table', 'board'] if only is None else [only]
+    """Return the contacts, and the error of the last one's true force at every tick [N]."""
+    names = list(names)
     steps = [{'time': 2.0, 'forces': dict.fromkeys(names, 15.0)}]
     setup = resolve(
         'quick',
@@ -49,13 +60,13 @@ def press(
         duration=20.0,
         controller={'contact_names': names, 'contacts': changes},
         noise_estimator={'contact_names': names},
-        plant_overrides={'contact_names': names, 'surfaces': plant or {}},
+        plant_overrides={'contact_names': names, 'surfaces': surfaces or {}},
         scenario_overrides={'reference': {'force_steps': steps, 'motion': motion}},
     )
     loop = ClosedLoop(setup)
     errors = []
     for k in range(ticks):
-        each(loop, k)
+        disturb(loop, k)
         loop.advance()
         errors.append(loop.sample.contact_force[-1] - 15.0)
     return loop.control.supervisor.controller.contacts, np.array(errors)
@@ -69,21 +80,21 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
     """
 
     def receding(loop, k):
-        time = k * H
-        if time > 3.0:
-            speed = 0.02 if time <= 4.0 else -0.02
-            loop.plant.contacts.shift_surface(1, speed * H)
+        if 3.0 < k * H <= 4.0:
+            loop.plant.contacts.shift_surface(1, 0.02 * H)
+        elif k * H > 4.0:
+            loop.plant.contacts.shift_surface(1, -0.02 * H)
 
     settings = {
         'table': {'friction_coefficient': FRICTION},
         'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1},
     }
-    contacts, errors = press(settings, ticks=2500, each=receding)
+    contacts, errors = press(settings, ticks=2500, disturb=receding)
     assert rms(errors[1750:2000]) < 0.3
     assert rms(errors[2250:2500]) < 0.3
     # The table's speed is not asked for.
-    np.testing.assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
-    _, bare = press({}, ticks=2000, each=receding)
+    assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
+    _, bare = press({}, ticks=2000, disturb=receding)
     assert rms(bare[1750:]) > 1.0
 
 
@@ -100,8 +111,8 @@ def test_unknown_tilt_is_followed_while_sliding_within_its_range(
     contacts, errors = press(
         {'table': {'friction_std': 3.0, 'normal_turn_rate': 3.0, **limit}},
         ticks=3200,
-        plant=surface,
-        only='table',
+        surfaces=surface,
+        names=['table'],
         motion=motion,
     )
     normal = contacts['normal'][0]
@@ -112,7 +123,7 @@ def test_unknown_tilt_is_followed_while_sliding_within_its_range(
         without_roughness = np.convolve(errors[2100:], np.full(25, 1 / 25), 'valid')
         assert rms(without_roughness) < 0.3
         untold = {'table': {'friction_std': 3.0}}
-        _, bare = press(untold, ticks=1250, plant=surface, only='table')
+        _, bare = press(untold, ticks=1250, surfaces=surface, names=['table'])
         assert bare[-100:].mean() > 0.8
 
 
@@ -127,8 +138,7 @@ def test_centres_of_pressure_follow_the_force_and_stay_inside():
     loop.control.set_forces({'edge': 20.0})
     for _ in range(300):
         loop.advance()
-    np.testing.assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
+    assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
     loop.control.set_forces({'edge': 5.0})  # 4 N of its couple would be too much there
-    assert loop.control.commanded_forces == pytest.approx(
-        {'edge': 5.0, 'edge/along': 1.0}
-    )
+    kept_inside = {'edge': 5.0, 'edge/along': 1.0}
+    assert loop.control.commanded_forces == pytest.approx(kept_inside)

@@ -2,6 +2,7 @@
 
 from multicontact_control.config import validate
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pinocchio as pin
 import pytest
 from robots import carried, ENGINES, needs_mujoco, ROBOTS
@@ -79,11 +80,11 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(
         pin.forwardKinematics(model, data, q, qd, qdd)
         force, point, _ = np.split(np.array(pushes[0]), [3, 6])
         expected = expected_wrench(arm, model, data, force, point)
-        np.testing.assert_allclose(wrench, expected, atol=wrench_error)
+        assert_allclose(wrench, expected, atol=wrench_error)
         qd = qd + STEP * qdd
         q = q + STEP * qd
-        np.testing.assert_allclose(body.qd, qd, atol=speed_error)
-        np.testing.assert_allclose(body.q, q, atol=place_error)
+        assert_allclose(body.qd, qd, atol=speed_error)
+        assert_allclose(body.q, q, atol=place_error)
     assert np.abs(qd).max() > 0.01
     body.close()
 
@@ -96,14 +97,14 @@ def test_plant_rests_at_home_and_reads_the_weight(name, engine):
     start = plant.reset()
     for _ in range(20):
         sample = plant.step(plant.initial_torque)
-    np.testing.assert_allclose(sample.q, config.home, atol=1e-9)
-    np.testing.assert_array_equal(sample.contact_force, 0.0)
+    assert_allclose(sample.q, config.home, atol=1e-9)
+    assert_array_equal(sample.contact_force, 0.0)
     # The sensor's z points straight down: the arm holds up, along -z, all that hangs on it.
     arm = plant.description
     weight = [0.0, 0.0, -9.81 * arm.carried_mass]
     lever = np.cross(arm.carried_com, weight)
-    np.testing.assert_allclose(start.wrench, [*weight, *lever], atol=1e-6)
-    np.testing.assert_allclose(sample.wrench, start.wrench, atol=1e-4)
+    assert_allclose(start.wrench, [*weight, *lever], atol=1e-6)
+    assert_allclose(sample.wrench, start.wrench, atol=1e-4)
     plant.close()
 
 

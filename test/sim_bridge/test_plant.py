@@ -1,6 +1,7 @@
 from arms import plant_config
 from multicontact_control.errors import ConfigError, RunError, ShapeError
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 import pinocchio as pin
 import pytest
 from sim_bridge.actuator_delay import ActuatorDelay
@@ -69,12 +70,12 @@ def test_encoders_on_the_motors_show_springs_that_are_wound_up(make_plant):
     plant = make_plant('puma')
     wound = plant.initial_torque / np.array(plant.config.drive_stiffness)
     ahead = plant.reset().q - plant.config.home
-    np.testing.assert_allclose(ahead, wound, atol=1e-15)
+    assert_allclose(ahead, wound, atol=1e-15)
 
 
 def test_torque_is_limited_and_commands_that_do_not_fit_are_refused(make_plant, puma):
     plant = make_plant('rigid')
-    np.testing.assert_array_equal(plant.step(np.full(6, 1e3)).effort, puma.torque_limit)
+    assert_array_equal(plant.step(np.full(6, 1e3)).effort, puma.torque_limit)
     with pytest.raises(ShapeError):
         plant.step(np.zeros(7))
     with pytest.raises(RunError):
@@ -112,7 +113,7 @@ def test_surface_moves_as_configured(make_plant, period, way):
     before = plant.contacts.places_world[0].copy()
     for _ in range(400):
         move_surface(surface, 1e-3)
-    np.testing.assert_allclose(surface['place'] - before, [0.0, 0.0, -way], atol=3e-5)
+    assert_allclose(surface['place'] - before, [0.0, 0.0, -way], atol=3e-5)
 
 
 FORCE = (0.0, 0.0, 30.0)  # N, of a push
@@ -133,7 +134,7 @@ def test_push_moves_the_arm_while_it_lasts(make_plant, model, puma, configured, 
     for _ in range(50):
         before = pushed.step(pushed.initial_torque)
         reference = still.step(still.initial_torque)
-        np.testing.assert_array_equal(before.qd, reference.qd)
+        assert_array_equal(before.qd, reference.qd)
     if not configured:
         pushed.push(FORCE, 0.02, tool=True)
     for _ in range(10):
@@ -144,9 +145,9 @@ def test_push_moves_the_arm_while_it_lasts(make_plant, model, puma, configured, 
     impulse = 0.02 * np.array(FORCE)
     expected = np.linalg.solve(M, frame_jacobian(model, home, frame)[:3].T @ impulse)
     tolerance = 0.02 * np.abs(expected).max()
-    np.testing.assert_allclose(sample.qd, expected, atol=tolerance)
+    assert_allclose(sample.qd, expected, atol=tolerance)
     after = pushed.step(pushed.initial_torque)
-    np.testing.assert_allclose(after.qd, sample.qd, atol=tolerance)
+    assert_allclose(after.qd, sample.qd, atol=tolerance)
 
 
 @pytest.mark.parametrize('preset', ['rigid', 'puma'])

@@ -13,6 +13,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.scenario import read_controller_files
 import numpy as np
+from numpy.testing import assert_allclose
 import pinocchio as pin
 import pybullet as bullet
 import pytest
@@ -61,12 +62,12 @@ def test_motors_and_limits_of_the_puma_are_the_published_ones_at_the_joint(puma)
             -negative * gear,
         ]
         friction = [link.viscous, link.coulomb_positive, link.coulomb_negative]
-        np.testing.assert_allclose([link.armature, *friction], at_joint, rtol=1e-12)
+        assert_allclose([link.armature, *friction], at_joint, rtol=1e-12)
         assert link.armature == pytest.approx(PUMA_TABLE['armature'][number], abs=6e-4)
         assert link.torque_limit == PUMA_TABLE['torque_limit'][number]
         assert link.speed_limit == PUMA_TABLE['speed_limit'][number]
         positions = np.degrees([link.lower, link.upper])
-        np.testing.assert_allclose(positions, PUMA_TABLE['position_limit_deg'][number])
+        assert_allclose(positions, PUMA_TABLE['position_limit_deg'][number])
 
 
 @pytest.mark.parametrize('name', ROBOTS)
@@ -111,13 +112,13 @@ def test_arm_moves_its_mount_and_its_masses_as_the_vendor_does(name, rng):
         q = rng.uniform(-1.0, 1.0, model.nv)
         mount = frame_pose(vendor, q, robot.file.mount_link)
         pose = frame_pose(model, q)
-        np.testing.assert_allclose(pose.translation, mount.translation, atol=1e-12)
-        np.testing.assert_allclose(pose.rotation, mount.rotation @ turn, atol=1e-12)
+        assert_allclose(pose.translation, mount.translation, atol=1e-12)
+        assert_allclose(pose.rotation, mount.rotation @ turn, atol=1e-12)
         if name != 'panda':
             J = pin.computeFrameJacobian(model, data, q, face, pin.LOCAL)
             expected = pin.crba(vendor, vendor_data, q) + J.T @ tool @ J
             M = pin.crba(model, data, q)
-            np.testing.assert_allclose(np.triu(M), np.triu(expected), atol=1e-9)
+            assert_allclose(np.triu(M), np.triu(expected), atol=1e-9)
 
 
 def place_meshes(model, geometry, q):
@@ -148,7 +149,7 @@ def test_arm_looks_as_the_vendors_does(name, rng):
     vendor_meshes = place_meshes(vendor, vendor_geometry, q)
     assert meshes
     for mesh, rotation in meshes.items():
-        np.testing.assert_allclose(rotation, vendor_meshes[mesh], atol=1e-9)
+        assert_allclose(rotation, vendor_meshes[mesh], atol=1e-9)
 
 
 @pytest.fixture
@@ -170,7 +171,7 @@ def controlled(name, controller):
 @pytest.mark.parametrize('name', ROBOTS)
 def test_controller_warns_of_the_links_with_a_placeholder(name, controller, controlled):
     warned = []
-    for text in controlled.warnings(controller.torque_limit):
+    for text in controlled.list_warnings(controller.torque_limit):
         warned += re.findall(r'robot\.urdf\.(\w+)\.inertia', text) or [text]
     assert warned == PLACEHOLDERS.get(name, [])
 
@@ -190,7 +191,7 @@ def test_home_is_within_all_limits_with_the_tool_down(
     assert_between(pose.position_world, limits.workspace_lower, limits.workspace_upper)
     assert_between(home, limits.joint_lower, limits.joint_upper)
     tool_down = np.diag([-1.0, 1.0, -1.0])
-    np.testing.assert_allclose(pose.rotation_world, tool_down, atol=1e-8)
+    assert_allclose(pose.rotation_world, tool_down, atol=1e-8)
     assert jacobian_condition(find_robot(name).arm.model(), home) < 20.0
 
 
@@ -295,7 +296,7 @@ def test_new_robot_writes_an_arm_that_a_plant_and_a_controller_share(
     home = np.array(robot.file.home)
     place = frame_pose(model, home).translation
     above_tip = place - frame_pose(model, home, 'tip').translation
-    np.testing.assert_allclose(above_tip, [0.0, 0.0, below], atol=1e-6)
+    assert_allclose(above_tip, [0.0, 0.0, below], atol=1e-6)
     files = read_controller_files([tmp_path / 'controller.yaml'])
     config = files.config()
     assert config.sensor.require_push_test
@@ -303,7 +304,7 @@ def test_new_robot_writes_an_arm_that_a_plant_and_a_controller_share(
     assert config.tool.mass == pytest.approx(robot.arm.carried_mass)
     controlled = RobotModel(config.robot, files.urdf_dir)
     pose = controlled.update(home, np.zeros(len(home))).pose
-    np.testing.assert_allclose(pose.position_world, place, atol=1e-9)
+    assert_allclose(pose.position_world, place, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -510,7 +511,7 @@ def test_new_robot_finds_a_home_on_floor_slope_wall_and_ceiling(tmp_path, rpy):
     home = np.array(robot.file.home)
     tip = frame_pose(model, home, 'tip').translation
     below = tip - frame_pose(model, home).translation
-    np.testing.assert_allclose(below, [0.0, 0.0, -0.15], atol=1e-6)
+    assert_allclose(below, [0.0, 0.0, -0.15], atol=1e-6)
     assert home_condition(robot) < 30.0
 
 

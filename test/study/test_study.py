@@ -1,5 +1,6 @@
 """Studies from the file to the table, its lines and its page."""
 
+from functools import partial
 import io
 import re
 
@@ -7,7 +8,7 @@ from multicontact_control.runs import closed_loop
 from multicontact_control.study.config import apply_choices, read_study, StudyConfig
 from multicontact_control.study.measure import metrics_row
 from multicontact_control.study.presets import make_study
-from multicontact_control.study.study import run_study
+from multicontact_control.study.study import run_study, show_plan
 from multicontact_control.study.table import (
     describe_good_runs,
     draw_study,
@@ -235,12 +236,11 @@ def fixture_run(tmp_path, monkeypatch):
             raise ZeroDivisionError('in the law')
         return run_in_process(setup, **options)
 
-    def run(seeds, **options):
+    def run(seeds, show=run_study, **options):
         path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
         study = make_study(apply_choices(read_study(str(path)), {}))
         shown = io.StringIO()
-        console = Console(file=shown, width=160)
-        run_study(study, tmp_path / 'out', jobs=1, console=console, **options)
+        show(study, tmp_path / 'out', Console(file=shown, width=160), **options)
         return shown.getvalue()
 
     monkeypatch.setattr(closed_loop, 'run_in_process', fail_when_stiff)
@@ -250,8 +250,9 @@ def fixture_run(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, run):
     out = tmp_path / 'out'
-    assert 'seed: 0' in run(1, dry_run=True)
+    assert 'seed: 0' in run(1, show_plan)
     assert not out.exists()
+    run = partial(run, jobs=1)
     assert '2 jobs, 0 of them finished' in run(1)
     frame = pd.read_parquet(out / 'study.parquet')
     assert frame['error'].fillna('').tolist() == ['', 'ZeroDivisionError: in the law']

@@ -3,7 +3,7 @@
 from arms import controller_config, HOME
 from hypothesis import given
 from hypothesis import strategies as st
-from multicontact_control.dynamics.operational_space import mobility_gradient
+from multicontact_control.dynamics.operational_space import compute_mobility_gradient
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import find_config_folder
 from multicontact_control.supervision import bounds
@@ -34,7 +34,7 @@ def test_mobility_gradient_agrees_with_finite_differences(index):
         state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T)
     )[1][:, index]
     gradient = np.empty(6)
-    mobility_gradient(
+    compute_mobility_gradient(
         state.jacobian, *factors(state), direction.copy(), np.empty(6), gradient
     )
     expected = [

@@ -175,6 +175,17 @@ def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
     assert stage.sensor_fault == 'frozen'
 
 
+def test_sensor_is_stale_once_the_last_wrench_is_too_old_to_be_bridged():
+    stage, random = warm()
+    faults = []
+    for k in range(20, 34):
+        stage.validate(good(k, random)._replace(wrench=None))
+        faults.append(stage.sensor_fault)
+    assert faults == [''] * 12 + ['stale'] * 2
+    stage.validate(good(34, random))
+    assert stage.sensor_fault == ''
+
+
 def test_wrench_is_frozen_after_as_many_identical_ones_as_are_configured():
     _, _, rejected = sensed([np.ones(6)] * 6, frozen_ticks=5)
     assert rejected == [()] * 4 + [('wrench_frozen',)] * 2

@@ -7,7 +7,7 @@ from browser import Tab
 from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
-from multicontact_control.view.run import start_simulated_graph
+from multicontact_control.view.run import start_simulated_graph, ViewSubject
 import numpy as np
 import pytest
 from ros_graph import wait_for
@@ -23,16 +23,13 @@ window.requestAnimationFrame = callback => setTimeout(() => draw(callback), 500)
 
 @pytest.fixture
 def page():
-    """Show a graph that was start_simulated_graph for it on a page."""
+    """Show a simulated graph, which starts for it, on a page."""
     from multicontact_control.view.page import Page
 
     with reserve_domain() as domain_id, ExitStack() as stack:
+        subject = ViewSubject(resolve('paper', plant='rigid'), domain_id=domain_id)
         shown = stack.enter_context(
-            closing(
-                start_simulated_graph(
-                    resolve('paper', plant='rigid'), None, domain_id, stack, (), print
-                )
-            )
+            closing(start_simulated_graph(subject, stack, (), print))
         )
         page = stack.enter_context(closing(Page(shown, 8481)))
         stop = threading.Event()

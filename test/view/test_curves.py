@@ -1,4 +1,4 @@
-from multicontact_control.view.curves import DRAWN, PointHistory
+from multicontact_control.view.curves import MOST_POINTS, PointHistory
 from multicontact_control.view.source import POINTS, RATE
 import numpy as np
 import pytest
@@ -15,11 +15,11 @@ def test_history_keeps_a_peak_in_every_window(window):
     history = PointHistory(7)
     for part in np.array_split(points, 100):
         history.add_points(part)
-    drawn = history.last_seconds(window)
+    drawn = history.select_last_seconds(window)
     times = drawn[:, 0]
     values = drawn[:, 1]
     place = times[values.argmax()]
-    assert len(drawn) <= 1.2 * DRAWN
+    assert len(drawn) <= 1.2 * MOST_POINTS
     assert (np.diff(times) > 0.0).all()
     assert values.max() == 9.0
     assert place == pytest.approx(points[peak, 0], abs=0.5)

@@ -2,7 +2,11 @@
 
 from multicontact_control.config import LimitsConfig
 from multicontact_control.errors import CommandError
-from multicontact_control.view.motion import ACCELERATION, CommandedMotion, SPEED
+from multicontact_control.view.motion import (
+    CommandedMotion,
+    USUAL_ACCELERATION,
+    USUAL_SPEED,
+)
 import numpy as np
 import pytest
 
@@ -40,20 +44,20 @@ def assert_smooth(position, velocity, acceleration):
     speed = np.diff(position, axis=0) / PERIOD
     np.testing.assert_allclose(speed, middle, atol=2e-3)
     change = np.diff(velocity, axis=0) / PERIOD
-    tolerance = 0.02 + 0.1 * ACCELERATION
+    tolerance = 0.02 + 0.1 * USUAL_ACCELERATION
     np.testing.assert_allclose(change, acceleration[1:], atol=tolerance)
 
 
 @pytest.mark.parametrize('period', [PERIOD, 0.1])
 def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion, period):
     assert motion.advance(period) is None
-    assert motion.what == ''
+    assert motion.name == ''
     motion.go_to(START + [0.1, 0.05, 0.0])
     position, velocity, acceleration = advance_motion(motion, 4000, period)
     np.testing.assert_allclose(position[-1], START + [0.1, 0.05, 0.0], atol=1e-9)
     np.testing.assert_array_equal(velocity[-1], 0.0)
-    assert np.linalg.norm(velocity, axis=1).max() <= SPEED * 1.0001
-    assert np.linalg.norm(acceleration, axis=1).max() <= ACCELERATION * 1.0001
+    assert np.linalg.norm(velocity, axis=1).max() <= USUAL_SPEED * 1.0001
+    assert np.linalg.norm(acceleration, axis=1).max() <= USUAL_ACCELERATION * 1.0001
     assert (np.diff(position[:, 0]) > -1e-9).all(), 'it went beyond and came back'
     assert motion.advance(PERIOD) is None
     assert motion.goal is None
@@ -79,7 +83,7 @@ def test_sine_begins_and_ends_without_a_jump(motion):
     np.testing.assert_allclose(position[1000:, 0] - START[0], sine, atol=1e-9)
     _, velocity, _ = stopping
     np.testing.assert_array_equal(velocity[-1], 0.0)
-    assert motion.what == ''
+    assert motion.name == ''
 
 
 @pytest.mark.parametrize(('amplitude', 'period'), [(0.08, 4.0), (0.08, 2.0)])
@@ -93,12 +97,12 @@ def test_stop_brings_a_sine_to_rest_where_the_point_is(
     speed = np.linalg.norm(velocities[-1])
     motion.stop()
     position, _, acceleration = advance_motion(motion, 2000)
-    assert motion.what == ''
+    assert motion.name == ''
     # A sine that comes has up to a tenth more than one that stays.
     sine_acceleration = 1.1 * amplitude * (2.0 * np.pi / period) ** 2
-    largest = max(ACCELERATION, sine_acceleration)
+    largest = max(USUAL_ACCELERATION, sine_acceleration)
     assert np.linalg.norm(acceleration, axis=1).max(initial=0.0) <= largest
-    way = speed**2 / (2.0 * ACCELERATION)  # of a speed that shrinks evenly
+    way = speed**2 / (2.0 * USUAL_ACCELERATION)  # of a speed that shrinks evenly
     assert np.abs(position - before).max(initial=0.0) <= way + 0.001
     assert np.abs(position[:, 0] - START[0]).max(initial=0.0) <= amplitude + 0.001
 
@@ -113,14 +117,14 @@ def test_motion_out_of_the_workspace_is_refused_and_changes_nothing(motion):
     motion.start_sine('x', 0.1, 4.0)
     with pytest.raises(CommandError, match='position x'):
         motion.jog([0.55, 0.0, 0.0])
-    assert motion.what == 'sine along x'
+    assert motion.name == 'sine along x'
     np.testing.assert_allclose(motion.goal, START + [0.0, 0.3, 0.0])
 
 
 def test_sine_faster_than_the_limits_is_refused(motion):
     with pytest.raises(CommandError, match='speed: expected at most 0.5 m/s'):
         motion.start_sine('x', 0.15, 2.0)
-    assert motion.what == ''
+    assert motion.name == ''
 
 
 def test_slow_arm_is_led_slowly():

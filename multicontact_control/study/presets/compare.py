@@ -47,9 +47,9 @@ class CompareStudy(Study):
         """
         sections = {}
         for plant, claims_by_rate in judge_comparison(results).items():
-            columns = {
-                f'K_2 = {rate:g} 1/s': claims for rate, claims in claims_by_rate.items()
-            }
+            columns = {}
+            for rate, claims in claims_by_rate.items():
+                columns[f'K_2 = {rate:g} 1/s'] = claims
             heading = f'Claims of the paper over K_2, plant {plant}'
             sections[heading] = render_claims(columns)
         return sections

@@ -87,8 +87,9 @@ class FaultJob:
         world = _advance_world(self)
         rows = []
         for names, seed in self.faults:
-            fault = combine_faults(*[FAULTS[name] for name in names])
-            rows.append(asdict(run_in_fork(world, fault, seed, self.phase)))
+            faults = [FAULTS[name] for name in names]
+            row = run_in_fork(world, combine_faults(*faults), seed, self.phase)
+            rows.append(asdict(row))
         return {'rows': rows}
 
 
@@ -187,27 +188,34 @@ class FaultsStudy(Study):
         self, part: PartConfig
     ) -> Mapping[tuple[str, str], list[tuple[Names, int]]]:
         """Return faults with their seeds by phase and plant, as their turns come."""
-        plants, seeds = part.plants, part.seeds
+        plants = part.plants
+        seeds = part.seeds
         faults_by_place: defaultdict[tuple[str, str], list[tuple[Names, int]]]
         faults_by_place = defaultdict(list)
 
-        def put(turn: int, phases: tuple[str, ...], names: Names, seed: int) -> None:
+        def put_in_turn(
+            turn: int, phases: tuple[str, ...], names: Names, seed: int
+        ) -> None:
             """Put a fault where it is its turn: all plants come, then all phases."""
             phase = phases[turn // len(plants) % len(phases)]
             plant = plants[turn % len(plants)]
             faults_by_place[phase, plant].append((names, seed))
 
         for index, (name, fault) in enumerate(FAULTS.items()):
-            phases = (START, *PHASES) if fault.from_start else PHASES
+            phases: tuple[str, ...] = PHASES
+            if fault.from_start:
+                phases = (START, *PHASES)
             if len(seeds) > 1:
                 for turn, seed in enumerate(seeds):
-                    put(turn, phases, (name,), seed)
+                    put_in_turn(turn, phases, (name,), seed)
             else:
                 turn = index % (len(plants) * len(PHASES))
-                put(turn, phases, (name,), seeds[0] + turn)
-        pair_count = PAIRS if len(seeds) > 1 else FEW_PAIRS
+                put_in_turn(turn, phases, (name,), seeds[0] + turn)
+        pair_count = PAIRS
+        if len(seeds) == 1:
+            pair_count = FEW_PAIRS
         for turn, pair in enumerate(draw_pairs(pair_count, seeds[0])):
-            put(turn, PHASES, pair, seeds[0] + turn)
+            put_in_turn(turn, PHASES, pair, seeds[0] + turn)
         return faults_by_place
 
     def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:
@@ -229,10 +237,11 @@ class FaultsStudy(Study):
         order = {name: place for place, name in enumerate(FAULTS)}
         names = zip(frame['kind'], frame['input'])
         problems = frame['problems'].where(frame['problems'] != '', frame['shortfalls'])
+        times = frame['time_to_safe_s'].astype(float)
         completed = frame.assign(
             error=problems.where(problems != '', None),
             back=frame['shortfalls'] == '',
-            time_to_safe_s=frame['time_to_safe_s'].astype(float).fillna(math.inf),
+            time_to_safe_s=times.fillna(math.inf),
             place=[order.get(name, len(order)) for name in names],
         )
         ordered = completed.sort_values(

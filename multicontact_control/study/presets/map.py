@@ -27,7 +27,8 @@ from multicontact_control.study.study import Results, Study
 import numpy as np
 import pandas as pd
 
-RATIO, DELAY = 'true / model stiffness', 'plant.actuator_delay_ticks'
+RATIO = 'true / model stiffness'
+DELAY = 'plant.actuator_delay_ticks'
 
 
 class LinearLoop(NamedTuple):
@@ -82,10 +83,10 @@ class MapStudy(Study):
         sentences = super().describe_findings(results)
         for plant, boundaries in linear_boundaries(results).items():
             for name, ratios in boundaries.items():
-                limits = [
-                    f'{min(ratio, RATIOS[-1]):.2f} with {delay}'
-                    for delay, ratio in ratios.items()
-                ]
+                limits = []
+                for delay, ratio in ratios.items():
+                    limit = min(ratio, RATIOS[-1])
+                    limits.append(f'{limit:.2f} with {delay}')
                 sentences.append(
                     f'{name} is stable on {plant} up to {RATIO} = '
                     f'{", ".join(limits)} periods of delay.'
@@ -110,7 +111,7 @@ class MapStudy(Study):
         for axes in grid.flat[len(groups) :]:
             axes.set_axis_off()
         for axes, ((plant, label), runs) in zip(grid.flat, groups):
-            mesh = _draw_panel(axes, runs, linear_boundaries(results)[plant])
+            mesh = _draw_overshoots(axes, runs, linear_boundaries(results)[plant])
             axes.set_title(f'{plant}: {label}', fontsize=9)
         figure.supylabel('delay [periods]', fontsize=8)
         figure.supxlabel(RATIO, fontsize=8)
@@ -134,9 +135,9 @@ def linear_boundaries(results: Results) -> Mapping[str, Boundaries]:
     is kept.
     """
     by_plant: dict[str, dict[str, dict[int, float]]] = {}
-    cells = {
-        (cell.factors['plant'], cell.factors[DELAY]): cell for cell in results.cells
-    }
+    cells = {}
+    for cell in results.cells:
+        cells[cell.factors['plant'], cell.factors[DELAY]] = cell
     for (plant, delay), cell in cells.items():
         arm_loop = ArmLoop(cell.job.setup())
         boundaries = by_plant.setdefault(plant, {})
@@ -148,7 +149,7 @@ def linear_boundaries(results: Results) -> Mapping[str, Boundaries]:
     return by_plant
 
 
-def _draw_panel(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
+def _draw_overshoots(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
     """Draw the overshoots of settled runs and the boundaries; return the coloured mesh."""
     overshoot = runs['overshoot_percent'].where(runs['settled']).astype(float)
     table = runs.assign(shown=overshoot.clip(lower=1.0)).pivot(
@@ -160,8 +161,9 @@ def _draw_panel(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
     first_edge = ratios[0] ** 2 / middles[0]
     last_edge = ratios[-1] ** 2 / middles[-1]
     levels = np.append(delays, delays[-1] + 1.0) - 0.5
+    edges = np.concatenate([[first_edge], middles, [last_edge]])
     mesh = axes.pcolormesh(
-        np.concatenate([[first_edge], middles, [last_edge]]),
+        edges,
         levels,
         table.to_numpy(),
         cmap='viridis_r',
@@ -212,11 +214,9 @@ class ArmLoop:
         robot = RobotModel(config.robot, setup.urdf_dir)
         state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
         N = normal_space(Controller(config, robot).contacts, state.pose.rotation_world)
-        observer = design_law(
-            config.force_law_of(names[0]),
-            config.force,
-            make_loop_model(config, config.contacts[names[0]].stiffness),
-        )
+        first = names[0]
+        model = make_loop_model(config, config.contacts[first].stiffness)
+        observer = design_law(config.force_law_of(first), config.force, model)
         if not isinstance(observer, ObserverDesign):
             raise ConfigError(
                 'force.law', 'aob, for the linear loops', config.force.law
@@ -235,7 +235,7 @@ class ArmLoop:
             + config.sensor.filter_delay(config.rate)
         )
 
-    def _fed_share(self) -> float:
+    def _find_fed_share(self) -> float:
         """Return the share of the desired force in what is fed forward, of the first contact."""
         force = self.config.force
         if force.fed_forward == 'desired':
@@ -254,9 +254,8 @@ class ArmLoop:
         With R held at `noise_variance` [N^2], on the arm, or on the plant of P04 eq. 32 if
         `of_paper`.
         """
-        law = make_steady_law(
-            self.observer, solve_steady_gain(self.observer, noise_variance)
-        )
+        gain = solve_steady_gain(self.observer, noise_variance)
+        law = make_steady_law(self.observer, gain)
         period = self.config.period
         K_2 = self.config.force.damping_rate
         model = LoopModel(float(self.stiffness[0]), K_2, self.delay, period)
@@ -275,7 +274,7 @@ class ArmLoop:
                     whole_delay,
                 )
                 loop = margins.closed_loop(
-                    arm, law, K_2, period, fed_share=self._fed_share()
+                    arm, law, K_2, period, fed_share=self._find_fed_share()
                 )
             return margins.spectral_radius(loop) < 1.0
 

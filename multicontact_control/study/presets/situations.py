@@ -135,15 +135,15 @@ class SituationsStudy(Study):
         labels = dict(combination.labels)
         robot = labels.pop('robot', '')
         what = ', '.join(f'{name} {label}' for name, label in labels.items())
-        seed = self._seed_of([title, combination.plant, robot, what])
+        seed = self._choose_seed([title, combination.plant, robot, what])
         if seed not in part.seeds:
             return
-        arguments = _lay_over(arguments, values)
+        arguments = _lay_over_values(arguments, values)
         job = SituationJob(what, {**arguments, 'seed': seed}, situation)
         factors = {'part': title, 'robot': robot, 'plant': plant, 'seed': seed}
         yield Cell(factors, job, job.key())
 
-    def _seed_of(self, names: list[str]) -> int:
+    def _choose_seed(self, names: list[str]) -> int:
         """Return whose turn it is, whatever else is chosen of the study."""
         digest = hashlib.sha256(json.dumps(names).encode()).digest()
         seeds = self.config.seeds
@@ -200,7 +200,7 @@ class SituationsStudy(Study):
         return [f'{finding}.', *absent]
 
 
-def _lay_over(
+def _lay_over_values(
     arguments: Mapping[str, Any], values: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the arguments of `resolve` with values of parameters by dotted names."""

@@ -38,7 +38,9 @@ def cost_of_run(row: Mapping[str, Any]) -> float:
     A run without one of the figures costs infinitely much, too. Each scale is what the best laws
     reach, so that no figure outweighs the others (docs/force_laws.md).
     """
-    total = float(sum(row[name] / scale for name, scale in SCALES.items()))
+    total = 0.0
+    for name, scale in SCALES.items():
+        total += row[name] / scale
     if not row['stable'] or math.isnan(total):
         return math.inf
     return total
@@ -60,11 +62,12 @@ class TuneStudy(Study):
                 'law', f'one of {", ".join(ranges)} (tuning.yaml)', f"'{law}'"
             )
         self.gains = list(ranges[law])
-        self.preset = 'best' if law == 'aob' else f'laws/{law}'
-        gains = {
-            name: FactorConfig(values=tuple(values))
-            for name, values in ranges[law].items()
-        }
+        self.preset = f'laws/{law}'
+        if law == 'aob':
+            self.preset = 'best'
+        gains = {}
+        for name, values in ranges[law].items():
+            gains[name] = FactorConfig(values=values)
         parts = {}
         for title, part in config.parts.items():
             changes = {'preset': self.preset, 'factors': {**gains, **part.factors}}
@@ -81,18 +84,22 @@ class TuneStudy(Study):
         decide.
         """
         rows = frame[['stable', *SCALES]].astype(float).to_dict('records')
-        frame = frame.assign(cost=[cost_of_run(row) for row in rows])
-        gains = frame.groupby(['part', *self.gains])
-        ordered = frame.assign(
-            rank=gains['cost'].transform('max'), last=frame['part'] == ON_OTHER_SEEDS
-        ).sort_values(['last', 'rank'], kind='stable', ignore_index=True)
+        frame = frame.assign(cost=list(map(cost_of_run, rows)))
+        costs = frame.groupby(['part', *self.gains])['cost']
+        ranked = frame.assign(
+            rank=costs.transform('max'), last=frame['part'] == ON_OTHER_SEEDS
+        )
+        ordered = ranked.sort_values(['last', 'rank'], kind='stable', ignore_index=True)
         return ordered.drop(columns=['last', 'rank'])
 
-    def _best_gains(self, frame: pd.DataFrame) -> dict[str, Any] | None:
+    def _find_best_gains(self, frame: pd.DataFrame) -> dict[str, Any] | None:
         """Return the gains with the least cost, None if no combination is stable."""
-        best = {name: frame[name].tolist()[0] for name in self.gains}
+        best: dict[str, Any]
+        (best,) = frame[self.gains].head(1).to_dict('records')
         runs = frame[(frame[self.gains] == pd.Series(best)).all(axis=1)]
-        return best if (runs['cost'] < math.inf).all() else None
+        if (runs['cost'] < math.inf).all():
+            return best
+        return None
 
     def plan_further_cells(self, results: Results) -> list[Cell]:
         """
@@ -101,14 +108,13 @@ class TuneStudy(Study):
         A gain that is best for one realisation of the noise alone shows there. They run on every
         plant, with seeds 1, 2 and 3.
         """
-        best = self._best_gains(results.frame)
+        best = self._find_best_gains(results.frame)
         cells = []
         for factors, job, _ in results.cells:
             gains = {name: factors[name] for name in self.gains}
             if gains == best:
-                cells += cells_with_seeds(
-                    {**factors, 'part': ON_OTHER_SEEDS}, job, OTHER_SEEDS
-                )
+                elsewhere = {**factors, 'part': ON_OTHER_SEEDS}
+                cells += cells_with_seeds(elsewhere, job, OTHER_SEEDS)
         return cells
 
     def write_files(self, results: Results, folder: Path) -> None:
@@ -119,18 +125,16 @@ class TuneStudy(Study):
         a path. Without a stable combination there is none.
         """
         super().write_files(results, folder)
-        best = self._best_gains(results.frame)
+        best = self._find_best_gains(results.frame)
         if best is None:
             return
         law = self.config.law
         first = results.cells[0]
         gains = nest_overrides(best, first.job.setup(), 'gains.')
+        preset = merge(preset_values(self.preset), gains)
         plants = ', '.join(results.frame['plant'].unique())
-        write_preset(
-            merge(preset_values(self.preset), gains),
-            folder / f'{law}.yaml',
-            f'{law}, tuned on seed {first.factors["seed"]} of {plants}',
-        )
+        title = f'{law}, tuned on seed {first.factors["seed"]} of {plants}'
+        write_preset(preset, folder / f'{law}.yaml', title)
 
     def describe_findings(self, results: Results) -> list[str]:
         """
@@ -139,7 +143,7 @@ class TuneStudy(Study):
         Without a combination whose runs are all stable, and have all figures of `SCALES`, the
         sentence says so instead.
         """
-        best = self._best_gains(results.frame)
+        best = self._find_best_gains(results.frame)
         law = self.config.law
         if best is None:
             finding = (

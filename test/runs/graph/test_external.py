@@ -18,6 +18,7 @@ from multicontact_control.nodes import topics
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.recording import read_graph
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from ros_graph import node_processes, PATIENCE, ROOT, start_python, wait_for
 from sim_bridge.new_robot import new_robot
@@ -122,8 +123,8 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(start, tmp_path):
         'ros__parameters'
     ]['tool']
     assert tool['mass'] == pytest.approx(0.501, abs=0.02)
-    np.testing.assert_allclose(tool['com_sensor'], [0.0, 0.0, 0.08], atol=3e-3)
-    np.testing.assert_allclose(tool['bias_sensor'], np.zeros(6), atol=0.1)
+    assert_allclose(tool['com_sensor'], [0.0, 0.0, 0.08], atol=3e-3)
+    assert_allclose(tool['bias_sensor'], np.zeros(6), atol=0.1)
     # With no push no force is obeyed afterwards: not in the second run, as documented.
     text = end(start(*CLI, *push), code=1)
     assert text.splitlines()[-1].startswith('push test failed'), text
