@@ -69,7 +69,7 @@ BUDGETS = {
     'commissioning': 6_900,
     'faults': 12_200,
     'study': 17_300,
-    'view': 20_500,
+    'view': 20_560,
     'cli': 6_200,
     'sim_bridge': 30_400,
     'test': 165_800,

@@ -97,8 +97,9 @@ MEASURED_FORCES = Topic(
     JointState,
     CONTROLLER,
     (ESTIMATOR,),
-    content='name = force or couple, as in every topic `contact_forces/*`; '
-    'effort = measured force [N].',
+    content='name = force or couple, as in every topic `contact_forces/*`; effort = measured '
+    'force [N], position = 1 where the wrench is of this sample, 0 where the force repeats the '
+    'last reading.',
 )
 ESTIMATED_FORCES = Topic(
     'contact_forces/estimated',
