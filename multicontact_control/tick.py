@@ -82,7 +82,7 @@ def tick(
         Records of `JOINT`, shape (n,), whose `gate.commanded_torque` is what is commanded, one
         of `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
     limits, judgements, gates, workspaces
-        One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE` and of `WORKSPACE`.
+        One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE_STATE` and of `WORKSPACE`.
     q, velocity
         Joint positions [rad] and velocities [rad/s], shape (n,).
     mass_matrix, bias_torque, jacobian, jacobian_rate
