@@ -156,8 +156,10 @@ def actuate_joints(
     """
     Advance the actuation by one substep and find the torques that act on the joints.
 
-    A drive makes a u + b + noise of the motor torque u. That acts after the delay, less
-    the friction F tanh(c v) + d v.
+    A drive makes a u + b + noise of the motor torque u. That acts after the delay, less the
+    friction F tanh(c v) + d v. A torque loop has u = wanted - k_p e - k_i sum(e) - k_d de/dt,
+    where e is the drive torque of the substep before, which a sensor between drive and friction
+    measures, less the wanted torque.
 
     Parameters
     ----------
@@ -183,7 +185,16 @@ def actuate_joints(
         if not model.torque_loop:
             actuator.motor = actuator.wanted
         elif model.substep % model.loop_substeps == 0:
-            step_torque_loop(actuator, model)
+            error = actuator.driven - actuator.wanted
+            error_rate = (error - actuator.error) / model.loop_period
+            actuator.error = error
+            actuator.error_sum += error
+            actuator.motor = (
+                actuator.wanted
+                - model.loop_proportional * error
+                - model.loop_integral * actuator.error_sum
+                - model.loop_derivative * error_rate
+            )
         actuator.pending[newest] = (
             actuator.scale * actuator.motor
             + actuator.bias
@@ -200,31 +211,3 @@ def actuate_joints(
             - actuator.viscous_friction * speed
         )
     model.substep += 1
-
-
-@compiled
-def step_torque_loop(actuator: Actuator, model: ActuationModel) -> None:
-    """
-    Correct the motor torque of a joint by the error of its drive torque.
-
-    u = wanted - k_p e - k_i sum(e) - k_d de/dt, where e is the drive torque of the substep before
-    less the wanted torque. A torque sensor between drive and friction measures that.
-
-    Parameters
-    ----------
-    actuator
-        A record of `ACTUATOR`, whose motor torque and error are replaced.
-    model
-        The record of `ACTUATION_MODEL` with the gains.
-
-    """
-    error = actuator.driven - actuator.wanted
-    error_rate = (error - actuator.error) / model.loop_period
-    actuator.error = error
-    actuator.error_sum += error
-    actuator.motor = (
-        actuator.wanted
-        - model.loop_proportional * error
-        - model.loop_integral * actuator.error_sum
-        - model.loop_derivative * error_rate
-    )

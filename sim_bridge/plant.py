@@ -16,7 +16,14 @@ import pinocchio as pin
 from sim_bridge.actuation import ActuationErrors
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import ActuationConfig, PlantConfig
-from sim_bridge.contacts import act_on_arm, Contacts, HAND, Hand, PushSchedule
+from sim_bridge.contacts import (
+    act_on_arm,
+    Contacts,
+    HAND,
+    Hand,
+    PushSchedule,
+    Surroundings,
+)
 from sim_bridge.drives import DRIVE, Drive, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import link_records
@@ -94,14 +101,14 @@ class Plant:
         ).copy()
         self.model.armature = np.array(self.description.armature)
         self._last_link = pin.Inertia(self.model.inertias[self.model.nv])
-        self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine_arm(config, self.description)
         self._hands: Records[Hand] = np.zeros(2, dtype=HAND)
         for hand, link in zip(self._hands, (OPERATIONAL_FRAME, config.tool_push_link)):
             frame = self.model.frames[self.model.getFrameId(link)]
             hand['local'] = frame.placement.translation
-        self._torques = np.zeros((4, len(self._home)))
-        self._motor, _, self._sum, self._link_side = self._torques
+        self._torques = np.zeros((5, len(self._home)))
+        self._limit, self._motor, _, self._sum, self._link_side = self._torques
+        self._limit[:] = config.torque_limit or self.description.torque_limit
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
         self._drives: Records[Drive] = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
@@ -158,13 +165,14 @@ class Plant:
             act_on_arm,
             self.arm.motion,
             self._torques,
-            self._limit,
             link_records(self.model),
             self._drives,
-            self.contacts.surfaces,
-            self.contacts.profiles,
-            self._hands,
-            self._pushes,
+            Surroundings(
+                surfaces=self.contacts.surfaces,
+                profiles=self.contacts.profiles,
+                hands=self._hands,
+                pushes=self._pushes,
+            ),
             config.substep,
         )
         self._tick = 0
@@ -325,11 +333,10 @@ def _require_fit(config: PlantConfig, model: pin.Model) -> None:
     """Require one home angle per joint, tips on moving links, and a push on the last of these."""
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
-    carriers = {
-        frame.name: frame.parentJoint
-        for frame in model.frames
-        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0
-    }
+    carriers = {}  # numbers of the joints that move the links
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0:
+            carriers[frame.name] = frame.parentJoint
     for name in config.met:
         field = f'surfaces.{name}.tip_link'
         _require_link(field, config.surfaces[name].tip_link, carriers)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from functools import lru_cache
 import math
-from typing import Annotated, Protocol
+from typing import Protocol
 
 from multicontact_control.algebra import quintic_blend
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.flags import (
     JOINT_BOUNDED,
     REFERENCE_LIMITED,
@@ -25,7 +26,6 @@ from multicontact_control.records import (
     Control,
     Joint,
     JointConfig,
-    MAX_JOINTS,
     Record,
     record_dtype,
     Records,
@@ -82,8 +82,7 @@ class GateState(Record, Protocol):
     elapsed: float
     duration: float
 
-    torque: Annotated[Vector, MAX_JOINTS]  # on its way through [N m]
-    space: BoundSpace
+    space: BoundSpace  # with the torque on its way through
 
 
 GATE_STATE = record_dtype(GateState)
@@ -159,8 +158,7 @@ def pass_gate(
     joints: Records[Joint],
     control: Control,
     contacts: Records[Contact],
-    mass_matrix: Matrix,
-    jacobian: Matrix,
+    terms: ModelTerms,
     law: int,
 ) -> int:
     """
@@ -171,8 +169,8 @@ def pass_gate(
     gate, joints, control, contacts
         A record of `GATE`, records of `JOINT`, shape (n,), whose `gate.last` becomes what is
         commanded, a record of `CONTROL`, and records of `CONTACT`, shape (r,).
-    mass_matrix, jacobian
-        M (upper triangle), shape (n, n), and J, shape (6, n).
+    terms
+        Of the arm's model: M and J are read.
     law
         What has answered: `number_of_law`, so that contacts and the task are kept as far as
         possible, or a negative number for something else.
@@ -185,7 +183,7 @@ def pass_gate(
     """
     n = joints.shape[0]
     enforced = 0
-    torque = gate.torque[:n]
+    torque = gate.space.torque[:n]
     for j in range(n):
         torque[j] = joints[j].answer.torque
     blend_torque(gate, joints, law, torque)
@@ -205,16 +203,7 @@ def pass_gate(
             if np.isfinite(joints[j].bias_torque):
                 torque[j] = joints[j].bias_torque
     if gate.seen and gate.config.guarded:
-        enforced |= bound_motion(
-            torque,
-            joints,
-            control,
-            contacts,
-            mass_matrix,
-            jacobian,
-            law >= 0,
-            gate.space,
-        )
+        enforced |= bound_motion(joints, control, contacts, terms, law >= 0, gate.space)
     for j in range(n):
         joint = joints[j]
         added, last = joint.drive_gravity_torque, joint.gate.commanded_torque
@@ -331,13 +320,11 @@ class TorqueGate:
         """
         self._joints['answer']['torque'] = torque
         self._gate['seen'] = seen
-        terms = self._arm.robot.terms
         return pass_gate(
             self._gate,
             self._joints,
             self._arm.controls[0],
             self._arm.contacts,
-            terms.mass_matrix,
-            terms.jacobian,
+            self._arm.robot.terms,
             law,
         )

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from multicontact_control.judging.metrics import RunMetrics
-from multicontact_control.runs.scenario import resolve
+from multicontact_control.runs.scenario import NO_PLANT, resolve
 import numpy as np
 import pytest
 from synthetic_run import delayed, perfect_run
@@ -27,6 +27,24 @@ def test_windows_are_those_of_the_definition(setup, data):
     assert (rest[0], rest[-1]) == pytest.approx((5.0, 6.498))
     assert (moving[0], moving[-1]) == pytest.approx((8.5, 11.998))
     assert data.time[judged.loaded][0] == pytest.approx(2.5)
+
+
+def test_windows_begin_with_the_sample_that_has_their_time():
+    """3.14 + 1 s is above 4.14 s in floating point, by less than the sample is from the next."""
+    arm = resolve('quick', plant='rigid', duration=12.0)
+    reference = arm.scenario.reference
+    motion = reference.motion.model_copy(update={'start_time': 6.5})
+    steps = [reference.force_steps[0].model_copy(update={'time': 3.14})]
+    ours = {'force_steps': steps, 'motion': motion}
+    scenario = {'reference': reference.model_copy(update=ours)}
+    arm = replace(arm, scenario=arm.scenario.model_copy(update=scenario))
+    judged = RunMetrics(perfect_run(arm), arm).windows
+    assert np.argmax(judged.rest) == 2070
+
+
+def test_run_of_the_users_own_robot_has_no_known_pushes(setup, data):
+    metrics = RunMetrics(data, replace(setup, plant=NO_PLANT))
+    assert metrics.pushes == [] and metrics.quiet_windows['moving'].any()
 
 
 def test_losses_are_counted_under_load(setup, data):

@@ -19,7 +19,8 @@ from multicontact_control.study.presets.compare import CompareStudy
 from multicontact_control.study.presets.faults import FaultJob
 from multicontact_control.study.presets.map import ArmLoop
 from multicontact_control.study.presets.tune import cost_of_run, SCALES
-from multicontact_control.study.study import run_study
+from multicontact_control.study.study import Results, run_study
+import pandas as pd
 import pytest
 from rich.console import Console
 
@@ -214,6 +215,51 @@ def test_cost_adds_figures_and_refuses_what_is_not_stable():
     assert cost_of_run(row) == pytest.approx(len(SCALES))
     for changed in ({'stable': False}, {'rise_s': math.inf}, {'rest_rms_n': math.nan}):
         assert cost_of_run(row | changed) == math.inf
+
+
+def test_page_tells_the_scales_of_the_cost():
+    notes = read_study('tune').notes
+    for scale in SCALES.values():
+        assert f'{scale:g} ' in notes
+
+
+def describe_tuning(runs):
+    """Return what a study of aob finds; `runs` are part, seed, K_2 and whether a run is stable."""
+    tried = study('tune', 'aob')
+    rows = []
+    for part, seed, damping_rate, stable in runs:
+        gains = {
+            'controller.force.damping_rate': damping_rate,
+            'controller.force.time_constant': 0.02,
+            'controller.force.fed_forward': 'mixed',
+            'noise_estimator.slew_time': 0.0,
+        }
+        row = {'part': part, 'plant': 'rigid', 'seed': seed, 'stable': stable, **gains}
+        rows.append({**row, 'error': None, **SCALES})
+    frame = tried.complete_table(pd.DataFrame(rows))
+    frame.attrs = {'factors': ['part', 'plant', *tried.gains, 'seed'], 'units': {}}
+    return tried.describe_findings(Results([], frame, {}))
+
+
+def test_best_gains_are_named_also_if_one_is_a_choice():
+    best = describe_tuning([('', 0, 60.0, False), ('', 0, 100.0, True)])[0]
+    assert 'damping_rate = 100, ' in best and 'fed_forward = mixed, ' in best
+
+
+def test_gains_that_are_best_on_one_seed_stay_the_best_and_what_refutes_them_is_named():
+    runs = [('', 0, 100.0, True)]
+    for seed in (1, 2, 3):
+        runs.append(('on other seeds', seed, 100.0, seed != 2))
+    best, refuted = describe_tuning(runs)[:2]
+    assert best.startswith('aob.yaml holds the best: ')
+    assert refuted == 'They are unstable, or lack a figure, on seed 2.'
+
+
+def test_no_gains_are_the_best_where_none_are_stable():
+    finding = describe_tuning([('', 0, 60.0, False), ('', 0, 100.0, False)])[0]
+    assert (
+        finding == 'All combinations of aob are unstable in the task, or lack a figure.'
+    )
 
 
 @pytest.mark.slow
