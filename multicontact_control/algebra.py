@@ -265,15 +265,14 @@ def turn_rotation_by_vector(vector: Vector, rotation: Matrix) -> None:
     if angle < 1e-12:
         return
     axis = divide_vector(vector, angle)
+    sine = np.sin(angle)
+    versine = 1.0 - np.cos(angle)
     for j in range(3):
         once = cross(axis, rotation[:, j])
         twice = cross(axis, once)
         for i in range(3):
-            rotation[i, j] = (
-                rotation[i, j]
-                + (np.sin(angle) * once[i])
-                + (1.0 - np.cos(angle)) * twice[i]
-            )
+            rotation[i, j] += sine * once[i]
+            rotation[i, j] += versine * twice[i]
 
 
 @compiled
@@ -286,8 +285,8 @@ def quintic_blend(elapsed: float, duration: float) -> Triple:
     if elapsed >= duration:
         return 1.0, 0.0, 0.0
     x = max(0.0, elapsed / duration)
-    return (
-        x**3.0 * (10.0 + x * (-15.0 + 6.0 * x)),
-        30.0 * x**2.0 * (1.0 - x) ** 2.0 / duration,
-        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2.0,
-    )
+    rest = 1.0 - x
+    blend = x**3.0 * (10.0 + x * (-15.0 + 6.0 * x))
+    rate = 30.0 * x**2.0 * rest**2.0 / duration
+    acceleration = 60.0 * x * rest * (1.0 - 2.0 * x) / duration**2.0
+    return blend, rate, acceleration

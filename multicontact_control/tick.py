@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Matrix
 from multicontact_control.compiled import compiled
 from multicontact_control.control.arm import ArmSpace, update_arm_state
 from multicontact_control.control.law import control_law, LawSpace
+from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.flags import (
     ALARMS,
     ANSWER_REFUSED,
@@ -45,28 +46,46 @@ class Workspace(Record, Protocol):
 WORKSPACE = record_dtype(Workspace)
 
 
+class TickRecords(NamedTuple):
+    """
+    The records that a tick works on, which are made once and changed by every tick.
+
+    Those of what is set (`config`) change between ticks alone: at the start, by live parameters
+    and by what a reaction decides.
+    """
+
+    joints: Records[Joint]  # shape (n,); `gate.commanded_torque` is what is commanded
+    controls: Records[Control]  # one
+    contacts: Records[Contact]  # shape (r,), as of laws and states
+    laws: Records[ForceLaw]
+    states: Records[ContactState]
+
+    # One of each.
+    limits: Records[TaskLimits]
+    judgements: Records[Judgement]
+    gates: Records[GateState]
+    workspaces: Records[Workspace]
+
+
+RecordTuple = tuple[
+    Records[Joint],
+    Records[Control],
+    Records[Contact],
+    Records[ForceLaw],
+    Records[ContactState],
+    Records[TaskLimits],
+    Records[Judgement],
+    Records[GateState],
+    Records[Workspace],
+]
+
+
 @compiled
 def tick(
     stages: int,
-    joints: Records[Joint],
-    controls: Records[Control],
-    contacts: Records[Contact],
-    laws: Records[ForceLaw],
-    states: Records[ContactState],
-    limits: Records[TaskLimits],
-    judgements: Records[Judgement],
-    gates: Records[GateState],
-    workspaces: Records[Workspace],
-    q: Vector,
-    velocity: Vector,
-    mass_matrix: Matrix,
-    bias_torque: Vector,
-    jacobian: Matrix,
-    jacobian_rate: Matrix,
-    position: Vector,
-    rotation: Matrix,
-    sensor_position: Vector,
-    sensor_rotation: Matrix,
+    record_tuple: RecordTuple,
+    motion: Matrix,
+    term_tuple: TermTuple,
 ) -> int:
     """
     See the arm, then act: limit the task, ask the law, judge its answer, let the torque through.
@@ -78,17 +97,11 @@ def tick(
     ----------
     stages
         SEE, ACT or both.
-    joints, controls, contacts, laws, states
-        Records of `JOINT`, shape (n,), whose `gate.commanded_torque` is what is commanded, one
-        of `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
-    limits, judgements, gates, workspaces
-        One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE` and of `WORKSPACE`.
-    q, velocity
-        Joint positions [rad] and velocities [rad/s], shape (n,).
-    mass_matrix, bias_torque, jacobian, jacobian_rate
-        M (upper triangle), C v + g, J and dJ/dt there.
-    position, rotation, sensor_position, sensor_rotation
-        Of the operational frame and the sensor's, world axes.
+    record_tuple, term_tuple
+        The fields of `TickRecords` and of `ModelTerms`, in their order, as plain tuples: numba
+        takes those from Python in half the time that named ones need.
+    motion
+        Joint positions [rad] and velocities [rad/s], shape (2, n), at which the terms are.
 
     Returns
     -------
@@ -96,43 +109,35 @@ def tick(
         What was found; see `flags`.
 
     """
-    control, space = controls[0], workspaces[0]
+    records = TickRecords(*record_tuple)
+    terms = ModelTerms(*term_tuple)
+    joints = records.joints
+    contacts = records.contacts
+    control = records.controls[0]
+    space = records.workspaces[0]
     found = 0
     if stages & SEE:
-        found = update_arm_state(
-            q,
-            velocity,
-            mass_matrix,
-            bias_torque,
-            jacobian,
-            position,
-            rotation,
-            sensor_position,
-            sensor_rotation,
-            joints,
-            control,
-            contacts,
-            space.arm,
-        )
+        found = update_arm_state(motion, terms, joints, control, contacts, space.arm)
         if found & ALARMS:
             return found
     if not stages & ACT:
         return found
-    limit, gate = limits[0], gates[0]
-    if limit_task(limit, control, contacts, states):
+    limit = records.limits[0]
+    gate = records.gates[0]
+    if limit_task(limit, control, contacts, records.states):
         found |= REFERENCE_LIMITED
-    found |= control_law(
-        control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law
-    )
+    found |= control_law(control, joints, terms, contacts, records.laws, space.law)
     if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
         return found
     strict = limit.config.guarded and not limit.locked
-    found |= judge_answer(judgements[0], control, joints, contacts, states, strict)
+    found |= judge_answer(
+        records.judgements[0], control, joints, contacts, records.states, strict
+    )
     if found & ANSWER_REFUSED:
         return found
     gate.seen = True
     law = number_of_law(contacts, gate.config.guarded)
-    found |= pass_gate(gate, joints, control, contacts, mass_matrix, jacobian, law)
+    found |= pass_gate(gate, joints, control, contacts, terms, law)
     if found & BOUNDING_LIMITS:
         limit.bounded_at = limit.time
     return found

@@ -189,17 +189,22 @@ def write_push(
     push[6] = body
 
 
+class Surroundings(NamedTuple):
+    """What acts on the arm besides its drives, and where its forces are listed."""
+
+    surfaces: Records[Surface]  # shape (no,)
+    profiles: Matrix  # of the roughness of each surface, see `build_surfaces`
+    hands: Records[Hand]  # the one at the wrist, then the one at the tool
+    pushes: Matrix  # forces as `EngineArm.apply_pushes` takes them, shape (no + 2, 7)
+
+
 @compiled
 def act_on_arm(
     motion: Matrix,
     torques: Matrix,
-    limit: Vector,
     links: Records[Link],
     drives: Records[Drive],
-    surfaces: Records[Surface],
-    profiles: Matrix,
-    hands: Records[Hand],
-    pushes: Matrix,
+    surroundings: Surroundings,
     step: float,
 ) -> int:
     """
@@ -212,19 +217,13 @@ def act_on_arm(
     motion
         Joint angles and speeds, link side, at the start of the step, shape (2, n) [rad, rad/s].
     torques
-        Of the joints, shape (4, n) [N m]: of the motors, clipped here to the limit; filled in are
-        what surfaces and hands do, the sum of both, and what the drives do to the links.
-    limit
-        Of the motors, shape (n,) [N m].
-    links, drives, surfaces
-        Records of `LINK`, `DRIVE` (none for motors that act on the links as they are) and
-        `SURFACE`.
-    profiles
-        Of the roughness of each surface.
-    hands
-        Records of `HAND`, shape (2,): first the one at the wrist, then the one at the tool.
-    pushes
-        Filled with the forces on the arm, as `EngineArm.apply_pushes` takes them, shape (m, 7).
+        Of the joints, shape (5, n) [N m]: the largest of the motors, and theirs, clipped here to
+        these; filled in are what surfaces and hands do, the sum of both, and what the drives do
+        to the links.
+    links, drives
+        Records of `LINK`, and of `DRIVE` (none for motors that act on the links as they are).
+    surroundings
+        Surfaces, which move by one step, and hands; the first of the pushes are filled in.
     step
         Of the integration [s].
 
@@ -236,10 +235,14 @@ def act_on_arm(
     """
     q = motion[0]
     qd = motion[1]
-    motor = torques[0]
-    load = torques[1]
-    both = torques[2]
-    link_side = torques[3]
+    limit = torques[0]
+    motor = torques[1]
+    load = torques[2]
+    both = torques[3]
+    link_side = torques[4]
+    hands = surroundings.hands
+    surfaces = surroundings.surfaces
+    pushes = surroundings.pushes
     last = q.shape[0] - 1
     for joint in range(last + 1):
         if not np.isfinite(motor[joint]):
@@ -262,7 +265,7 @@ def act_on_arm(
             move_surface(surface, step)
         locate_point(surface.tip, links[surface.joint], surface.point)
         point_velocity(surface.point, qd, links, surface.joint, velocity)
-        press_surface(surface, velocity, profiles[i])
+        press_surface(surface, velocity, surroundings.profiles[i])
         if surface.alpha > 0.0:
             add_joint_torque(
                 surface.point, surface.force, -1.0, links, surface.joint, load

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Protocol
 
+from multicontact_control.algebra import (
+    add_scaled_vector,
+    cross,
+    dot,
+    vector_between,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Record, record_dtype, Records
@@ -125,13 +131,9 @@ def point_velocity(
     """
     velocity[:] = 0.0
     for joint in range(last + 1):
-        axis, origin = links[joint].axis, links[joint].origin
-        x = point[0] - origin[0]
-        y = point[1] - origin[1]
-        z = point[2] - origin[2]
-        velocity[0] += qd[joint] * (axis[1] * z - axis[2] * y)
-        velocity[1] += qd[joint] * (axis[2] * x - axis[0] * z)
-        velocity[2] += qd[joint] * (axis[0] * y - axis[1] * x)
+        link = links[joint]
+        lever = vector_between(link.origin, point)
+        add_scaled_vector(velocity, qd[joint], cross(link.axis, lever))
 
 
 @compiled
@@ -165,12 +167,6 @@ def add_joint_torque(
 
     """
     for joint in range(last + 1):
-        axis, origin = links[joint].axis, links[joint].origin
-        x = point[0] - origin[0]
-        y = point[1] - origin[1]
-        z = point[2] - origin[2]
-        torque[joint] += sign * (
-            axis[0] * (y * force[2] - z * force[1])
-            + axis[1] * (z * force[0] - x * force[2])
-            + axis[2] * (x * force[1] - y * force[0])
-        )
+        link = links[joint]
+        lever = vector_between(link.origin, point)
+        torque[joint] += sign * dot(link.axis, cross(lever, force))

@@ -171,20 +171,19 @@ def compose_mjcf(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig])
         f'<site name="{SENSOR_FRAME}"/>',
         _body_opening(TOOL_LINK, Placement(), tool),
     ]
-    flag = '<flag contact="disable" constraint="disable"/>'
     plane_geoms = []
     pairs = []
     if planes:
-        flag = ''
         to_world = frame_pose(arm.model(), np.array(config.home), SENSOR_FRAME).rotation
     for number, plane in enumerate(planes):
         inward = np.array(plane.normal_world)
         centre = arm.tips[plane.tip_link] - TIP_RADIUS * (to_world.T @ inward)
+        place = format_numbers(plane.point_world)
+        outward = format_numbers(-inward)
         mu = max(plane.friction, SMALLEST_FRICTION)
         plane_geoms.append(
             f'<geom name="plane{number}" type="plane" size="{PLANE_SIZE}" '
-            f'pos="{format_numbers(plane.point_world)}" zaxis="{format_numbers(-inward)}" '
-            'contype="0" conaffinity="0"/>'
+            f'pos="{place}" zaxis="{outward}" contype="0" conaffinity="0"/>'
         )
         chain.append(
             f'<geom name="tip{number}" type="sphere" size="{TIP_RADIUS!r}" '
@@ -195,25 +194,33 @@ def compose_mjcf(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig])
             f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
             f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>'
         )
-    bodies_opened = len(arm.bodies)
-    return ''.join(
-        [
-            f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
-            f'<option timestep="{config.substep!r}" '
-            f'gravity="{format_numbers(config.gravity_world)}" integrator="Euler" '
-            f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
-            f'tolerance="1e-12">{flag}</option>',
-            '<worldbody>',
-            *plane_geoms,
-            *chain,
-            '</body>' * bodies_opened,
-            '</worldbody>',
-            '<contact>',
-            *pairs,
-            '</contact>',
-            f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
-            '</mujoco>',
-        ]
+    elements = [
+        f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
+        _option_element(config, contacts=bool(planes)),
+        '<worldbody>',
+        *plane_geoms,
+        *chain,
+        '</body>' * len(arm.bodies),
+        '</worldbody>',
+        '<contact>',
+        *pairs,
+        '</contact>',
+        f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
+        '</mujoco>',
+    ]
+    return ''.join(elements)
+
+
+def _option_element(config: PlantConfig, *, contacts: bool) -> str:
+    """Return the element with step, gravity and solver, and whether there are contacts."""
+    flag = '<flag contact="disable" constraint="disable"/>'
+    if contacts:
+        flag = ''
+    gravity = format_numbers(config.gravity_world)
+    return (
+        f'<option timestep="{config.substep!r}" gravity="{gravity}" integrator="Euler" '
+        f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
+        f'tolerance="1e-12">{flag}</option>'
     )
 
 
@@ -228,4 +235,6 @@ def _body_opening(name: str, placement: Placement, body: Body) -> str:
 
 def _frame_attributes(placement: Placement) -> str:
     x, y, z, w = pin.Quaternion(placement.transform.rotation).coeffs()
-    return f'pos="{format_numbers(placement.position)}" quat="{format_numbers((w, x, y, z))}"'
+    position = format_numbers(placement.position)
+    quaternion = format_numbers((w, x, y, z))
+    return f'pos="{position}" quat="{quaternion}"'

@@ -166,11 +166,9 @@ def new_robot(
     _write_controller(robot, controller, draft.missing)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(_compose_robot_file(urdf.name, draft), encoding='utf-8')
-    return (
-        *(f'suspicious: {remark}' for remark in draft.suspicious),
-        *remarks,
-        *(f'missing: {entry}' for entry in draft.missing),
-    )
+    suspicious = [f'suspicious: {remark}' for remark in draft.suspicious]
+    missing = [f'missing: {entry}' for entry in draft.missing]
+    return (*suspicious, *remarks, *missing)
 
 
 def _first_values(
@@ -544,10 +542,10 @@ def _describe_robot(robot: Robot) -> tuple[str, ...]:
     robot.plant_values('rigid')
     share = _holding_torque(model, home) / arm.torque_limit
     mass = sum(body.mass for body in arm.bodies)
+    condition = jacobian_condition(model, home)
     return (
         f'{len(arm.links)} joints, {mass:.3g} kg, of which '
         f'{arm.carried_mass:.3g} kg hang on the sensor',
         f'at home gravity takes {100.0 * share.max():.0f} % of the torque limit at most, and the '
-        f'condition of the Jacobian is {jacobian_condition(model, home):.3g} (good below '
-        f'{GOOD_CONDITION:g})',
+        f'condition of the Jacobian is {condition:.3g} (good below {GOOD_CONDITION:g})',
     )

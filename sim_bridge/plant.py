@@ -13,9 +13,17 @@ from multicontact_control.records import Records
 from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
 import pinocchio as pin
+from sim_bridge.actuation import ActuationErrors
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
-from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import act_on_arm, Contacts, HAND, Hand, PushSchedule
+from sim_bridge.config import ActuationConfig, PlantConfig
+from sim_bridge.contacts import (
+    act_on_arm,
+    Contacts,
+    HAND,
+    Hand,
+    PushSchedule,
+    Surroundings,
+)
 from sim_bridge.drives import DRIVE, Drive, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import link_records
@@ -31,7 +39,7 @@ class Sample(NamedTuple):
 
     q: Vector  # joint angles as the encoders see them, shape (n,) [rad]
     qd: Vector  # joint speeds, likewise, shape (n,) [rad/s]
-    effort: Vector  # torque applied over the period, shape (n,) [N m]
+    effort: Vector  # torque that acted, its mean over the period, shape (n,) [N m]
     wrench: Vector  # the arm's on the tool, as the sensor reads it, its frame, shape (6,) [N, N m]
     wrench_filtered: Vector  # the same behind the sensor's low-passes
     # True forces of robot on surface over the last substep, the one the sensor's reading belongs
@@ -52,7 +60,7 @@ class Plant:
     rate
         Samples per second [Hz].
     seed
-        Of roughness and sensor noise.
+        Of roughness, sensor noise and torque noise.
 
     Attributes
     ----------
@@ -93,17 +101,20 @@ class Plant:
         ).copy()
         self.model.armature = np.array(self.description.armature)
         self._last_link = pin.Inertia(self.model.inertias[self.model.nv])
-        self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine_arm(config, self.description)
         self._hands: Records[Hand] = np.zeros(2, dtype=HAND)
         for hand, link in zip(self._hands, (OPERATIONAL_FRAME, config.tool_push_link)):
             frame = self.model.frames[self.model.getFrameId(link)]
             hand['local'] = frame.placement.translation
-        self._torques = np.zeros((4, len(self._home)))
-        self._motor, _, self._sum, self._link_side = self._torques
+        self._torques = np.zeros((5, len(self._home)))
+        self._limit, self._motor, _, self._sum, self._link_side = self._torques
+        self._limit[:] = config.torque_limit or self.description.torque_limit
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
         self._drives: Records[Drive] = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
+        self._actuation: ActuationErrors | None = None
+        if config.actuation != ActuationConfig():
+            self._actuation = ActuationErrors(config)
         self._q, self._qd = self.arm.motion
         self._make_drives()
         self.reset()
@@ -136,8 +147,9 @@ class Plant:
         The same seed and torques give the same samples again, bit for bit.
         """
         config = self.config
-        seeds = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
-        sensor_noise, *roughness = [np.random.default_rng(seed) for seed in seeds]
+        seeds = np.random.SeedSequence(self._seed).spawn(2 + len(config.met))
+        generators = [np.random.default_rng(seed) for seed in seeds]
+        sensor_noise, *roughness, torque_noise = generators
         self._sensor = WrenchSensor(config.sensor, config.substep, sensor_noise)
         self.contacts = Contacts(config, self.description, self.model, roughness)
         self._hands['force'] = 0.0
@@ -153,13 +165,14 @@ class Plant:
             act_on_arm,
             self.arm.motion,
             self._torques,
-            self._limit,
             link_records(self.model),
             self._drives,
-            self.contacts.surfaces,
-            self.contacts.profiles,
-            self._hands,
-            self._pushes,
+            Surroundings(
+                surfaces=self.contacts.surfaces,
+                profiles=self.contacts.profiles,
+                hands=self._hands,
+                pushes=self._pushes,
+            ),
             config.substep,
         )
         self._tick = 0
@@ -172,6 +185,8 @@ class Plant:
             self._drives['qd'] = 0.0
         self._sensor.read_wrenches(self._static_wrench()[np.newaxis])
         self._motor[:] = self.initial_torque
+        if self._actuation is not None:
+            self._actuation.reset(self.initial_torque, torque_noise)
         return self._take_sample()
 
     def step(self, torque: Vector) -> Sample:
@@ -193,6 +208,8 @@ class Plant:
         """
         require_shape('torque', torque, self._limit.shape)
         self._motor[:] = torque
+        if self._actuation is not None:
+            self._actuation.begin_period(torque)
         if self._carried != self.payload:
             most = PICK_UP_RATE / self._rate
             bounded = max(self.payload, self._carried - most)
@@ -247,14 +264,19 @@ class Plant:
     def _integrate_period(self) -> list[float]:
         """Take the integration steps of a period; return the true wrenches, one after another."""
         arm = self.arm
+        actuation = self._actuation
         wrenches: list[float] = []
         for _ in range(self._substeps):
+            if actuation is not None:
+                actuation.find_acting_torque(arm.qd, self._drives, self._motor)
             push_count = self._act_on_arm()
             if push_count < 0:
                 raise RunError(
                     f'joint torque at tick {self._tick}: expected finite numbers, '
                     f'got {self._motor.tolist()}'
                 )
+            if actuation is not None:
+                actuation.torque_sum += self._motor
             if self._rigid is not None:
                 self._rigid.find_link_torque(
                     self._motor, self._sum, arm.q, arm.qd, self._link_side
@@ -264,6 +286,8 @@ class Plant:
             wrenches += arm.step(self._link_side)
             if arm.native_forces is not None:
                 self.contacts.pressed[:] = arm.native_forces
+        if actuation is not None:
+            self._motor[:] = actuation.torque_sum / self._substeps
         return wrenches
 
     def _static_wrench(self) -> Vector:
@@ -309,11 +333,10 @@ def _require_fit(config: PlantConfig, model: pin.Model) -> None:
     """Require one home angle per joint, tips on moving links, and a push on the last of these."""
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
-    carriers = {
-        frame.name: frame.parentJoint
-        for frame in model.frames
-        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0
-    }
+    carriers = {}  # numbers of the joints that move the links
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0:
+            carriers[frame.name] = frame.parentJoint
     for name in config.met:
         field = f'surfaces.{name}.tip_link'
         _require_link(field, config.surfaces[name].tip_link, carriers)

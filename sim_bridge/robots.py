@@ -305,16 +305,15 @@ class Robot:
         """Return controller.yaml with this arm in the place of its own."""
         arm = self.arm
         base = read_parameters(find_config_folder() / 'controller.yaml')
-        contacts = {
-            name: {
+        contacts = {}
+        for name, contact in self.file.contacts.items():
+            point = self._tip_at_operational_point(contact.tip)
+            contacts[name] = {
                 'normal_world': list(contact.normal_world),
-                'point_operational': self._tip_at_operational_point(
-                    contact.tip
-                ).tolist(),
+                'point_operational': point.tolist(),
                 'stiffness': contact.stiffness,
             }
-            for name, contact in self.file.contacts.items()
-        }
+        derived_limits = self._derive_limits(float(base.get('rate', 500.0)))
         derived = {
             'robot': {
                 'urdf': _write_urdf(arm).name,
@@ -327,10 +326,7 @@ class Robot:
             'contact_names': list(contacts),
             'contacts': contacts,
             'torque_limit': list(arm.torque_limit),
-            'limits': {
-                **base.get('limits', {}),
-                **self._derive_limits(float(base.get('rate', 500.0))),
-            },
+            'limits': {**base.get('limits', {}), **derived_limits},
         }
         kept = {
             key: value for key, value in base.items() if key not in PARTS_OF_ITS_ARM
@@ -350,9 +346,11 @@ class Robot:
         if self.file.workspace_upper:
             box_upper = np.array(self.file.workspace_upper)
         torque_rate = TORQUE_RATE_SHARE * rate
+        finite_lower = np.maximum(lower, -ENDLESS_RANGE)
+        finite_upper = np.minimum(upper, ENDLESS_RANGE)
         return {
-            'joint_lower': np.maximum(lower, -ENDLESS_RANGE).tolist(),
-            'joint_upper': np.minimum(upper, ENDLESS_RANGE).tolist(),
+            'joint_lower': finite_lower.tolist(),
+            'joint_upper': finite_upper.tolist(),
             'joint_speed': [link.speed_limit for link in arm.links],
             'torque_rate': [torque_rate * limit for limit in arm.torque_limit],
             'workspace_lower': box_lower.tolist(),

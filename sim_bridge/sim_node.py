@@ -216,6 +216,7 @@ class SimNode(Node):
     def close(self) -> None:
         """Write the counts and times of this run, if asked to, and free the plant."""
         self._plant.close()
+        latencies = self._watch.latencies
         self._config.write_counts(
             {
                 'ticks': self._tick + 1,
@@ -223,10 +224,8 @@ class SimNode(Node):
                 'pace_slips': self._slips,
                 'command_timeouts': self._timeouts,
                 'wall_s': self._wall * 1e-9,
-                'latency_us': self._watch.latencies.percentiles(),
-                'latency_histogram': latency_histogram(
-                    self._watch.latencies.microseconds()
-                ),
+                'latency_us': latencies.percentiles(),
+                'latency_histogram': latency_histogram(latencies.microseconds()),
                 'plant_us': self._step_times.percentiles(),
                 'refused': dict(self._refusals.counts),
             }

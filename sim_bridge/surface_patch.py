@@ -94,19 +94,36 @@ def _slab_faces(rows: int, columns: int) -> Faces:
     b = front[1:, :-1].ravel()
     c = front[1:, 1:].ravel()
     d = front[:-1, 1:].ravel()
-    rim = np.concatenate(
-        [front[:-1, 0], front[-1, :-1], front[:0:-1, -1], front[0, :0:-1]]
-    )
+    front_faces = _join_corners((a, c, b), (a, d, c))
+    back_faces = behind + _join_corners((a, b, c), (a, c, d))
+    first_side = front[:-1, 0]
+    second_side = front[-1, :-1]
+    third_side = front[:0:-1, -1]
+    fourth_side = front[0, :0:-1]
+    rim = np.concatenate([first_side, second_side, third_side, fourth_side])
     following = np.roll(rim, -1)
-    faces = [
-        (a, c, b),
-        (a, d, c),
-        (a + behind, b + behind, c + behind),
-        (a + behind, c + behind, d + behind),
-        (rim, following, following + behind),
-        (rim, following + behind, rim + behind),
-    ]
-    return np.concatenate([np.column_stack(face) for face in faces])
+    following_behind = following + behind
+    side_faces = _join_corners(
+        (rim, following, following_behind), (rim, following_behind, rim + behind)
+    )
+    return np.concatenate([front_faces, back_faces, side_faces])
+
+
+def _join_corners(*triangles: tuple[Faces, Faces, Faces]) -> Faces:
+    """Return faces of which each triple has the first, second and third vertices."""
+    return np.concatenate([np.column_stack(corners) for corners in triangles])
+
+
+def _make_marker(patch: Patch) -> Marker:
+    """Return a marker of the triangles of a patch."""
+    marker = Marker(type=Marker.TRIANGLE_LIST)
+    marker.header.frame_id = topics.WORLD_FRAME
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+    corners = patch.vertices[patch.faces].reshape(-1, 3)
+    for x, y, z in corners.tolist():
+        marker.points.append(Point(x=x, y=y, z=z))
+    return marker
 
 
 class SurfaceMarkers:
@@ -129,19 +146,11 @@ class SurfaceMarkers:
         self._moving = any(surface.velocity for surface in surfaces)
         self._message = MarkerArray()
         for number, (name, surface) in enumerate(zip(config.drawn, surfaces)):
-            patch = shape_configured_patch(surface)
-            corners = patch.vertices[patch.faces].reshape(-1, 3).tolist()
+            marker = _make_marker(shape_configured_patch(surface))
+            marker.ns = f'{NAMESPACE}/{name}'
+            marker.id = number
             red, green, blue = COLOURS[number % len(COLOURS)]
-            marker = Marker(
-                ns=f'{NAMESPACE}/{name}',
-                id=number,
-                type=Marker.TRIANGLE_LIST,
-                color=ColorRGBA(r=red, g=green, b=blue, a=1.0),
-                points=[Point(x=x, y=y, z=z) for x, y, z in corners],
-            )
-            marker.header.frame_id = topics.WORLD_FRAME
-            marker.pose.orientation.w = 1.0
-            marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+            marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
             self._message.markers.append(marker)
 
     def is_due(self, tick: int) -> bool:

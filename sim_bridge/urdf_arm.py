@@ -229,12 +229,14 @@ def _links_of_model(model: pin.Model, turned: Sequence[pin.SE3]) -> tuple[Link, 
     before = pin.SE3.Identity()
     for index, frame in enumerate(turned):
         joint = index + 1
+        name = model.names[joint]
         placement = before.inverse() * model.jointPlacements[joint] * frame
+        inertia = frame.actInv(model.inertias[joint])
         links.append(
             Link(
-                model.names[joint],
+                name,
                 Placement.from_transform(placement),
-                _require_mass(frame.actInv(model.inertias[joint]), model.names[joint]),
+                _require_mass(inertia, name),
                 float(model.lowerPositionLimit[index]),
                 float(model.upperPositionLimit[index]),
                 float(model.velocityLimit[index]),

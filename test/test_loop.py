@@ -580,3 +580,13 @@ def test_singular_arm_says_why_in_the_findings(monkeypatch):
     assert bench.loop.supervisor.findings[0].startswith(
         'SingularTaskError: J M^-1 J^T: expected a condition number below'
     )
+
+
+def test_stale_wrench_is_explained_by_how_old_the_last_one_is():
+    bench = Bench()
+    bench.step(100)
+    for _ in range(20):
+        bench.step_half()
+    assert 'wrench_stale' in bench.loop.status.causes
+    (finding,) = bench.loop.supervisor.findings
+    assert finding.startswith('The newest valid wrench is 26 ms old')

@@ -2,10 +2,11 @@
 
 import inspect
 
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.input_checks import check_inputs
-from multicontact_control.tick import tick
+from multicontact_control.tick import TickRecords
 from numba.core.runtime import _nrt_python, rtsys
 import pytest
 
@@ -19,9 +20,12 @@ def test_tick_allocates_nothing_but_what_hands_over_its_arguments(preset):
     for _ in range(PRESSED):
         loop.advance()
     assert loop.control.output.answer['active'].all()
-    arrays = len(inspect.signature(check_inputs).parameters) + (
-        len(inspect.signature(tick).parameters) - 1
-    )  # but for the stages
+    arrays = (
+        len(inspect.signature(check_inputs).parameters)
+        + len(TickRecords._fields)
+        + len(ModelTerms._fields)
+        + 1  # the motion
+    )
     _nrt_python.memsys_enable_stats()
     for _ in range(20):
         inputs = loop.inputs()

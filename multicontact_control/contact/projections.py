@@ -7,6 +7,8 @@ neither Omega_f nor Omega_m is formed, only what they make of vectors.
 
 from __future__ import annotations
 
+from typing import Annotated, Protocol
+
 from multicontact_control.algebra import (
     add_scaled_vector,
     cholesky,
@@ -15,11 +17,39 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Contact, Records
+from multicontact_control.records import (
+    Contact,
+    MAX_COLUMNS,
+    Record,
+    record_dtype,
+    Records,
+)
 
 # A normal counts as dependent when the others leave less than this share of its square: what is
 # left of it multiplies the sensor's noise by more than 1000.
 SMALLEST_NORMAL_PIVOT = 1e-6
+
+
+class ContactProjection(Record, Protocol):
+    """
+    N and D of the active contacts, factorised; one.
+
+    The first r rows are used, one for each contact, which are zero for one that is left out.
+    """
+
+    # N^T, D^T.
+    rows: Annotated[Matrix, MAX_COLUMNS, 6]
+    weighted_rows: Annotated[Matrix, MAX_COLUMNS, 6]
+
+    factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]  # of N^T N
+    weighted_factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]  # of N^T D
+
+    # alpha* in `apply_force_law`; of `compose_acceleration` [m/s^2].
+    alpha_star: Annotated[Vector, MAX_COLUMNS]
+    beta: Annotated[Vector, MAX_COLUMNS]
+
+
+CONTACT_PROJECTION = record_dtype(ContactProjection)
 
 
 @compiled
@@ -52,26 +82,27 @@ def factorise_contacts(
 
 @compiled
 def compose_acceleration(
-    rows: Matrix,
-    weighted_rows: Matrix,
-    weighted_factor: Matrix,
+    projection: ContactProjection,
+    count: int,
     f_t: Vector,
     f_c: Vector,
-    beta: Vector,
     acceleration: Vector,
 ) -> None:
     """
-    Fill in Omega_m f_t* + Omega_c f_c* (P04 eq. 27).
+    Fill in Omega_m f_t* + Omega_c f_c* (P04 eq. 27), shape (6,) [m/s^2, rad/s^2].
 
     As Omega_m = 1 - Omega_c with Omega_c = D (N^T D)^-1 N^T, this is
     f_t* - D (N^T D)^-1 N^T (f_t* - f_c*). D = N gives the paper's projections (eqs 11-13),
-    D = Lambda^-1 N the dynamically consistent ones. `rows` and `weighted_rows` are N^T and D^T,
-    shape (r, 6), `weighted_factor` is that of N^T D; `beta`, shape (r,), is overwritten.
+    D = Lambda^-1 N the dynamically consistent ones, of `count` contacts in a record of
+    `CONTACT_PROJECTION`.
     """
+    rows = projection.rows[:count]
+    weighted_rows = projection.weighted_rows[:count]
+    beta = projection.beta[:count]
     for i in range(6):
         acceleration[i] = f_t[i] - f_c[i]
     multiply_vector(rows, acceleration, beta)
-    solve_cholesky(weighted_factor, beta)
+    solve_cholesky(projection.weighted_factor[:count, :count], beta)
     acceleration[:] = f_t
-    for i in range(rows.shape[0]):
+    for i in range(count):
         add_scaled_vector(acceleration, -beta[i], weighted_rows[i])

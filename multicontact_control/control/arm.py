@@ -27,6 +27,7 @@ from multicontact_control.dynamics.operational_space import (
 )
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.flags import (
     FORCES_AMBIGUOUS,
     JOINT_SPEED,
@@ -305,15 +306,8 @@ def fill_wrench_of_residual(
 
 @compiled
 def update_arm_state(
-    q: Vector,
-    velocity: Vector,
-    mass_matrix: Matrix,
-    bias_torque: Vector,
-    jacobian: Matrix,
-    position: Vector,
-    rotation: Matrix,
-    sensor_position: Vector,
-    sensor_rotation: Matrix,
+    motion: Matrix,
+    terms: ModelTerms,
     joints: Records[Joint],
     control: Control,
     contacts: Records[Contact],
@@ -324,12 +318,10 @@ def update_arm_state(
 
     Parameters
     ----------
-    q, velocity
-        Joint positions [rad] and velocities [rad/s], shape (n,).
-    mass_matrix, bias_torque, jacobian
-        M, upper triangle, C v + g and J there.
-    position, rotation, sensor_position, sensor_rotation
-        Of the operational frame and the sensor's there, world axes.
+    motion
+        Joint positions [rad] and velocities [rad/s], shape (2, n).
+    terms
+        Of the arm's model there.
     joints, control, contacts
         Records of `JOINT`, shape (n,), one of `CONTROL` with the wrench in it, and records of
         `CONTACT`, shape (r,); all changed.
@@ -343,10 +335,14 @@ def update_arm_state(
         RESIDUAL_EXCEEDED and RESIDUAL_CLEARED.
 
     """
+    q = motion[0]
+    velocity = motion[1]
+    mass_matrix = terms.mass_matrix
+    jacobian = terms.jacobian
     frame = control.frame
     flags = 0
     for j in range(joints.shape[0]):
-        if not np.isfinite(bias_torque[j]):
+        if not np.isfinite(terms.bias_torque[j]):
             return MODEL_NOT_FINITE
     for j in range(joints.shape[0]):
         joint = joints[j]
@@ -355,13 +351,13 @@ def update_arm_state(
         joint.q = q[j]
         joint.velocity = velocity[j]
         joint.inertia = mass_matrix[j, j]
-        joint.bias_torque = bias_torque[j]
+        joint.bias_torque = terms.bias_torque[j]
         if abs(joint.velocity) > joint.config.speed_limit:
             flags = JOINT_SPEED
-    frame.position[:] = position
-    frame.rotation[:] = rotation
-    frame.sensor_position[:] = sensor_position
-    frame.sensor_rotation[:] = sensor_rotation
+    frame.position[:] = terms.position
+    frame.rotation[:] = terms.rotation
+    frame.sensor_position[:] = terms.sensor_position
+    frame.sensor_rotation[:] = terms.sensor_rotation
     multiply_vector(jacobian, velocity, frame.twist)
     velocity_squared = dot(frame.twist[:3], frame.twist[:3])
     turn_squared = dot(frame.twist[3:], frame.twist[3:])
@@ -436,14 +432,10 @@ class ArmState:
 
     def take_motion(self) -> bool:
         """Take in what has been written into `motion`; return whether the model stays finite."""
-        terms = self.robot.compute(self.q, self.velocity)
+        self.robot.compute(self.q, self.velocity)
         self.flags = update_arm_state(
-            self.q,
-            self.velocity,
-            terms.mass_matrix,
-            terms.bias_torque,
-            terms.jacobian,
-            *terms.placements,
+            self.motion,
+            self.robot.terms,
             self.joints,
             self.controls[0],
             self.contacts,

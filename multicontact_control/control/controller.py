@@ -287,11 +287,11 @@ class Controller:
         """Let the force laws begin; return the pose from which a task starts."""
         self.laws[:] = make_force_laws(self.config)
         joints = self.arm.joints['config']
-        joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
-            self.config.posture.joints or self.arm.q,
-            joints['lower'] + STOP_MARGIN,
-            joints['upper'] - STOP_MARGIN,
-        )
+        posture = self.config.posture.joints or self.arm.q
+        # What lies beyond a stop would be fought over.
+        lowest = joints['lower'] + STOP_MARGIN
+        highest = joints['upper'] - STOP_MARGIN
+        joints['posture'] = np.clip(posture, lowest, highest)
         self.started = True
         position, rotation = self.arm.pose
         return Pose(position.copy(), rotation.copy())
@@ -315,13 +315,10 @@ class Controller:
         """
         if self.arm.flags & (FORCES_AMBIGUOUS | MODEL_NOT_FINITE):
             self.raise_no_answer()
-        terms = self.robot.terms
         found = control_law(
             self.controls[0],
             self.arm.joints,
-            terms.mass_matrix,
-            terms.jacobian,
-            terms.jacobian_rate,
+            self.robot.terms,
             self.contacts,
             self.laws,
             self._space,
@@ -333,8 +330,8 @@ class Controller:
     def drive_gravity_torque(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
         if self.config.robot.adds_tool_gravity:
-            return self.robot.terms.gravity.copy()
-        return self.robot.terms.gravity - self.robot.compute_load_torque(self.tool)
+            return self.robot.gravity.copy()
+        return self.robot.gravity - self.robot.compute_load_torque(self.tool)
 
     def account_for_torque(self, torque: Vector) -> None:
         """
@@ -401,10 +398,10 @@ def make_law_record(config: ControllerConfig) -> Records[Law]:
     law['singular_mobility'] = SINGULAR_MOBILITY
     law['inertia_metric'] = force.projection == 'inertia'
     law['decoupled'] = force.allocation == 'decoupled'
-    law['separated'] = any(
-        config.contacts[name].friction_std or config.contacts[name].friction_coefficient
-        for name in config.contact_names
-    )
+    for name in config.contact_names:
+        contact = config.contacts[name]
+        if contact.friction_std or contact.friction_coefficient:
+            law['separated'] = True
     law['period'] = config.period
     law['force_noise'] = config.sensor.force_noise_std
     law['torque_noise'] = config.sensor.torque_noise_std

@@ -15,6 +15,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.projections import (
     compose_acceleration,
+    ContactProjection,
     factorise_contacts,
 )
 from multicontact_control.contact.surfaces import follow_surfaces
@@ -22,8 +23,10 @@ from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
     compute_mobility_and_inertia,
     InertiaSpace,
+    NullspaceSpace,
 )
 from multicontact_control.dynamics.rotations import rotation_vector_between
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.flags import (
     COLUMNS_DEPENDENT,
     POSTURE_SINGULAR,
@@ -51,29 +54,16 @@ import numpy as np
 
 
 class LawSpace(Record, Protocol):
-    """
-    The workspace of `control_law`; one.
-
-    The first r rows of matrices with one per contact are used.
-    """
+    """What `control_law` works in; one."""
 
     inertia: InertiaSpace
     forces: ForceSpace
 
-    # N^T, D^T.
-    rows: Annotated[Matrix, MAX_COLUMNS, 6]
-    weighted_rows: Annotated[Matrix, MAX_COLUMNS, 6]
+    projection: ContactProjection
+    nullspace: NullspaceSpace
 
-    factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]  # of N^T N
-    weighted_factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]  # of N^T D
-
-    # Lambda^-1 N_i; of `compose_acceleration`.
-    along: Annotated[Vector, 6]
-    beta: Annotated[Vector, MAX_COLUMNS]
-
-    # [m/s^2].
-    inputs: Annotated[Vector, MAX_COLUMNS]
-    alpha_star: Annotated[Vector, MAX_COLUMNS]
+    along: Annotated[Vector, 6]  # Lambda^-1 N_i
+    inputs: Annotated[Vector, MAX_COLUMNS]  # u of the force laws [m/s^2]
 
     # [m/s^2, rad/s^2].
     f_t: Annotated[Vector, 6]
@@ -87,9 +77,7 @@ class LawSpace(Record, Protocol):
     force: Annotated[Vector, 6]
     held: Annotated[Vector, 6]
 
-    # L^-1 (C v + g); of the null space.
-    reduced: Annotated[Vector, MAX_JOINTS]
-    pull: Annotated[Vector, MAX_JOINTS]
+    reduced: Annotated[Vector, MAX_JOINTS]  # L^-1 (C v + g)
 
 
 LAW_SPACE = record_dtype(LawSpace)
@@ -130,12 +118,10 @@ def convert_to_coordinates(rows: Matrix, inputs: Vector) -> None:
 @compiled
 def apply_force_law(
     law: Law,
-    rows: Matrix,
-    factor: Matrix,
     twist: Vector,
     contacts: Records[Contact],
+    projection: ContactProjection,
     inputs: Vector,
-    alpha_star: Vector,
     f_c: Vector,
 ) -> None:
     """
@@ -148,14 +134,18 @@ def apply_force_law(
     theta, the speeds of the contact points along their normals, less what is known of the
     surfaces' speeds.
 
-    N^T of the active contacts is in `rows`, shape (r, 6), N^T N is factorised in `factor`, shape
-    (r, r); `inputs` are u of the contact points or, as published, of the coordinates along N_i,
-    shape (r,) [m/s^2]; `alpha_star`, shape (r,), is overwritten.
+    `twist` is theta of the operational frame, shape (6,) [m/s, rad/s]; N^T of the active contacts
+    and the factor of N^T N are in `projection`; `inputs` are u of the contact points or, as
+    published, of the coordinates along N_i, shape (r,) [m/s^2].
     """
+    count = contacts.shape[0]
+    rows = projection.rows[:count]
+    factor = projection.factor[:count, :count]
+    alpha_star = projection.alpha_star[:count]
     multiply_vector(rows, twist, alpha_star)
     if not law.decoupled:
         solve_cholesky(factor, alpha_star)
-    for i in range(inputs.shape[0]):
+    for i in range(count):
         if law.decoupled and contacts[i].answer.active:
             alpha_star[i] -= (
                 contacts[i].config.surface_speed + contacts[i].surface_speed_est
@@ -226,9 +216,7 @@ def limit_torque(law: Law, joints: Records[Joint]) -> bool:
 def control_law(
     control: Control,
     joints: Records[Joint],
-    mass_matrix: Matrix,
-    jacobian: Matrix,
-    jacobian_rate: Matrix,
+    terms: ModelTerms,
     contacts: Records[Contact],
     laws: Records[ForceLaw],
     space: LawSpace,
@@ -244,8 +232,8 @@ def control_law(
     ----------
     control, joints
         A record of `CONTROL`, and records of `JOINT`, shape (n,), whose torque is filled in.
-    mass_matrix, jacobian, jacobian_rate
-        M (upper triangle), J and dJ/dt.
+    terms
+        Of the arm's model: M, J and dJ/dt are read.
     contacts, laws
         Records of `CONTACT` and `FORCE_LAW`, both changed, shape (r,).
     space
@@ -264,16 +252,16 @@ def control_law(
     count = contacts.shape[0]
     inertia = space.inertia
     damping, frame.mobility = compute_mobility_and_inertia(
-        mass_matrix, jacobian, law.singular_mobility, inertia
+        terms.mass_matrix, terms.jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:
         return POSTURE_SINGULAR
-    rows = space.rows[:count]
-    weighted_rows = space.weighted_rows[:count]
-    factor = space.factor[:count, :count]
-    weighted_factor = space.weighted_factor[:count, :count]
+    projection = space.projection
+    rows = projection.rows[:count]
+    weighted_rows = projection.weighted_rows[:count]
+    factor = projection.factor[:count, :count]
+    weighted_factor = projection.weighted_factor[:count, :count]
     inputs = space.inputs[:count]
-    alpha_star = space.alpha_star[:count]
     for i in range(count):
         multiply_vector(inertia.mobility, contacts[i].N, space.along)
         contacts[i].mobility = dot(contacts[i].N, space.along)
@@ -292,20 +280,10 @@ def control_law(
     answer_contact_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
         convert_to_coordinates(rows, inputs)
-    apply_force_law(
-        law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c
-    )
+    apply_force_law(law, frame.twist, contacts, projection, inputs, space.f_c)
     follow_surfaces(frame, contacts)
     acceleration = space.acceleration
-    compose_acceleration(
-        rows,
-        weighted_rows,
-        weighted_factor,
-        space.f_t,
-        space.f_c,
-        space.beta[:count],
-        acceleration,
-    )
+    compose_acceleration(projection, count, space.f_t, space.f_c, acceleration)
     reduced = space.reduced[:n]  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
     for j in range(n):
         reduced[j] = joints[j].bias_torque
@@ -313,7 +291,7 @@ def control_law(
     multiply_vector(inertia.Y[:n].T, reduced, space.bias)
     for i in range(6):
         for j in range(n):
-            space.bias[i] -= jacobian_rate[i, j] * joints[j].velocity
+            space.bias[i] -= terms.jacobian_rate[i, j] * joints[j].velocity
         acceleration[i] += space.bias[i]
     force = space.force
     held = space.held
@@ -327,19 +305,10 @@ def control_law(
         joints[j].answer.priority = joints[j].bias_torque
     for i in range(6):
         for j in range(n):
-            joints[j].answer.torque += jacobian[i, j] * force[i]
-            joints[j].answer.priority += jacobian[i, j] * held[i]
+            joints[j].answer.torque += terms.jacobian[i, j] * force[i]
+            joints[j].answer.priority += terms.jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
-        add_nullspace_torque(
-            joints,
-            mass_matrix,
-            jacobian,
-            inertia,
-            law,
-            reduced,
-            space.pull[:n],
-            space.along,
-        )
+        add_nullspace_torque(joints, terms, inertia, law, space.nullspace)
     if limit_torque(law, joints):
         return TORQUE_LIMITED
     return 0

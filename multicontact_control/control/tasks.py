@@ -142,11 +142,10 @@ def evaluate_sine_motion(config: SineConfig, time: float) -> tuple[float, float,
     cosine = math.cos(w * tau)
     b, db, ddb = quintic_blend(tau, config.blend_time)
     A = config.amplitude
-    return (
-        A * b * sine,
-        A * (db * sine + b * w * cosine),
-        A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine),
-    )
+    s = A * b * sine
+    ds = A * (db * sine + b * w * cosine)
+    dds = A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine)
+    return s, ds, dds
 
 
 class ScenarioTask:
@@ -193,13 +192,10 @@ class ScenarioTask:
         }
         self._leading_columns = np.array(leading_columns)
         is_force = self._leading_columns == np.arange(len(names))
-        self.forces = _forces_after_steps(
-            config.force_steps,
-            dict(zip(names, np.where(is_force, self._approach.preload, 0.0))),
-        )
-        self._wanted_after_step = [
-            ((forces > 0.0)[self._leading_columns], forces) for forces in self.forces
-        ]
+        preload = np.where(is_force, self._approach.preload, 0.0)
+        self.forces = _forces_after_steps(config.force_steps, dict(zip(names, preload)))
+        active = (self.forces > 0.0)[:, self._leading_columns]
+        self._wanted_after_step = list(zip(active, self.forces))
         self._nothing_wanted = np.zeros(len(names), dtype=bool), np.zeros(len(names))
         self._step_times = [step.time for step in config.force_steps]
 
@@ -217,11 +213,10 @@ class ScenarioTask:
         """Refuse a motion into or away from surfaces that are pressed meanwhile: ConfigError."""
         steps_before = bisect_right(self._step_times, motion.start_time)
         rows = self.forces[steps_before:]  # those in force at its start, and later
-        pressed = [
-            name
-            for name, i in zip(config.contact_names, config.force_columns)
-            if (rows[:, i] > 0.0).any()
-        ]
+        pressed = []
+        for name, column in zip(config.contact_names, config.force_columns):
+            if (rows[:, column] > 0.0).any():
+                pressed.append(name)
         normals = np.array([config.contacts[name].normal_world for name in pressed])
         normals = normals.reshape(-1, 3)  # also of none
         direction = np.array(motion.direction_world)
@@ -230,10 +225,11 @@ class ScenarioTask:
         if sine > LARGEST_SINE:
             largest_angle = math.degrees(math.asin(LARGEST_SINE))
             angle = math.degrees(math.asin(min(sine, 1.0)))
+            surfaces = ', '.join(pressed)
             raise ConfigError(
                 'reference.motion.direction_world',
                 f'at most {largest_angle:.0f} degrees out of the surfaces '
-                f'of {", ".join(pressed)}, which are pressed then',
+                f'of {surfaces}, which are pressed then',
                 f'{direction.tolist()}, {angle:.0f} degrees out of them',
                 hint='a motion has no effect along the normal of a contact',
             )

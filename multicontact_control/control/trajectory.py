@@ -528,11 +528,20 @@ def shortest_motion_duration(change: Vector, limits: LimitsConfig) -> float:
     distance = float(np.linalg.norm(change[:3]))
     angle = float(np.linalg.norm(change[3:]))
     return max(
-        QUINTIC_SPEED * distance / limits.operational_speed,
-        math.sqrt(QUINTIC_ACCELERATION * distance / limits.operational_acceleration),
-        QUINTIC_SPEED * angle / limits.operational_turn,
-        math.sqrt(QUINTIC_ACCELERATION * angle / limits.operational_turn_acceleration),
+        _shortest_duration(
+            distance, limits.operational_speed, limits.operational_acceleration
+        ),
+        _shortest_duration(
+            angle, limits.operational_turn, limits.operational_turn_acceleration
+        ),
     )
+
+
+def _shortest_duration(way: float, speed: float, acceleration: float) -> float:
+    """Return the least time of a `quintic_blend` over a way [s] with bounded derivatives."""
+    by_speed = QUINTIC_SPEED * way / speed
+    by_acceleration = math.sqrt(QUINTIC_ACCELERATION * way / acceleration)
+    return max(by_speed, by_acceleration)
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

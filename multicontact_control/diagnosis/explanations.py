@@ -23,6 +23,7 @@ import numpy as np
 
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 STANDING_SPEED = 0.01  # rad/s, of every joint, below which an arm stands
+WRENCH_STALE = 'wrench_stale'
 DOUBTED = (
     'Held by estimates from the positions until ten readings of such joints in motion '
     'agree, or an operator resumes control (~/retry)'
@@ -63,6 +64,8 @@ class Explanations:
 
     def _explain(self, cause: str) -> str:
         """Return a sentence for a cause; empty if it has none."""
+        if cause == WRENCH_STALE:
+            return self._wrench_outage()
         if cause in WRONG_WRENCH.values():
             return self._sensor_axes() or self.stray_force()
         collides = cause.startswith(COLLISION)
@@ -73,6 +76,16 @@ class Explanations:
         if collides:
             return self._collision()
         return ''
+
+    def _wrench_outage(self) -> str:
+        """Return since when no wrench has come, and what to look at."""
+        age = self._inputs.wrench_age
+        if np.isnan(age):
+            return 'No wrench has come since the start: is its driver running?'
+        return (
+            f'The newest valid wrench is {1e3 * age:.0f} ms old: its driver has stopped, or '
+            'its messages come late or not at all'
+        )
 
     def _collision(self) -> str:
         """Return what speaks for the cause of a collision, and what is felt at the tool."""

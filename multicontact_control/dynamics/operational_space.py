@@ -19,6 +19,7 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.records import (
     Joint,
     Law,
@@ -48,6 +49,16 @@ class InertiaSpace(Record, Protocol):
 
 
 INERTIA_SPACE = record_dtype(InertiaSpace)
+
+
+class NullspaceSpace(Record, Protocol):
+    """What `add_nullspace_torque` works in; the first n numbers are used. One."""
+
+    pull: Annotated[Vector, MAX_JOINTS]  # k_q (q_0 - q) + s [rad/s^2]
+    free: Annotated[Vector, MAX_JOINTS]  # torque before it is projected [N m]
+
+    # Of the operational point under that torque [m/s^2, rad/s^2].
+    acceleration: Annotated[Vector, 6]
 
 
 @compiled
@@ -174,13 +185,10 @@ def compute_mobility_gradient(
 @compiled
 def add_nullspace_torque(
     joints: Records[Joint],
-    mass_matrix: Matrix,
-    jacobian: Matrix,
+    terms: ModelTerms,
     inertia: InertiaSpace,
     law: Law,
-    free: Vector,
-    pull: Vector,
-    acceleration: Vector,
+    space: NullspaceSpace,
 ) -> None:
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.
@@ -193,19 +201,19 @@ def add_nullspace_torque(
     ----------
     joints
         Records of `JOINT`, shape (n,), whose torque is added to.
-    mass_matrix, jacobian
-        M, shape (n, n), of which the upper triangle is read [kg m^2], and J, shape (6, n).
+    terms
+        Of the arm's model: M and J are read.
     inertia
         Record of `INERTIA_SPACE` that `compute_mobility_and_inertia` has filled in of these.
     law
         Record of `LAW`, which has d, k_q and k_s.
-    free, pull
-        Overwritten, shape (n,): the torque before its projection [N m], k_q (q_0 - q) + s.
-    acceleration
-        Overwritten, shape (6,): what that torque would give the operational point.
+    space
+        Overwritten.
 
     """
     n = joints.shape[0]
+    mass_matrix = terms.mass_matrix
+    free = space.free[:n]
     for j in range(n):
         joint = joints[j]
         config = joint.config
@@ -214,7 +222,7 @@ def add_nullspace_torque(
         push_up = law.stop_stiffness * below * below / STOP_MARGIN
         push_down = law.stop_stiffness * above * above / STOP_MARGIN
         push = push_up - push_down
-        pull[j] = law.posture_stiffness * (config.posture - joint.q) + push
+        space.pull[j] = law.posture_stiffness * (config.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0
         for j in range(n):
@@ -224,11 +232,11 @@ def add_nullspace_torque(
         if law.posture_stiffness > 0.0:
             for j in range(n):
                 mass = mass_matrix[min(i, j), max(i, j)]
-                free[i] += mass * pull[j]
+                free[i] += mass * space.pull[j]
         joints[i].answer.torque += free[i]
     solve_lower(inertia.L[:n, :n], free)
-    multiply_vector(inertia.Y[:n].T, free, acceleration)
+    multiply_vector(inertia.Y[:n].T, free, space.acceleration)
     for j in range(n):
         for i in range(6):
-            force = dot(inertia.Lambda[i], acceleration)
-            joints[j].answer.torque -= jacobian[i, j] * force
+            force = dot(inertia.Lambda[i], space.acceleration)
+            joints[j].answer.torque -= terms.jacobian[i, j] * force

@@ -12,6 +12,7 @@ from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig, ToolConfig
 from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.dynamics.urdf import check_link_tree, parse_urdf
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import MAX_JOINTS
@@ -22,22 +23,9 @@ POSTURES = 64  # in which gravity is compared with the torque limits
 MEETING_AXES = 0.01  # m, between axes whose link may have no mass
 
 
-@dataclass(slots=True)
-class Terms:
-    """What compiled code needs of the arm, in world axes; the next `compute` overwrites it."""
-
-    mass_matrix: Matrix  # M with armature, its upper triangle, shape (n, n) [kg m^2]
-    bias_torque: Vector  # C(q, v) v + g(q), shape (n,) [N m]
-    gravity: Vector  # g(q), shape (n,) [N m]
-    jacobian: Matrix  # J of the operational point, linear rows first, shape (6, n)
-    jacobian_rate: Matrix  # dJ/dt, shape (6, n)
-    # Position, shape (3,) [m], and rotation, shape (3, 3), of operational and sensor frame.
-    placements: tuple[Vector, Matrix, Vector, Matrix]
-
-
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """The same in arrays of its own, and what follows from it."""
+    """The terms of the model in arrays of its own, and what follows from them."""
 
     mass_matrix: Matrix  # M with armature, shape (n, n) [kg m^2]
     coriolis: Vector  # C(q, v) v, shape (n,) [N m]
@@ -60,6 +48,14 @@ class RobotModel:
         Names and armature; without a wrist sensor, the operational frame is in its place.
     base_dir
         Folder that a relative ``config.urdf`` is relative to.
+
+    Attributes
+    ----------
+    term_tuple
+        The fields of `terms` in a plain tuple, which Python makes, and compiled code takes, in
+        half the time of a named one.
+    gravity
+        g(q) where `compute` was called last, shape (n,) [N m].
 
     Raises
     ------
@@ -97,29 +93,39 @@ class RobotModel:
         self._body = pin.Inertia(self._model.inertias[self._mount.parentJoint])
         self.last_mass = float(self._body.mass)
         self._data = self._model.createData()
-        self.terms = self._view_terms()
+        self._view_terms()
         kinds = [joint.shortname() for joint in self._model.joints[1:]]
         self.turning: Mask = np.array(['ModelR' in kind for kind in kinds])
 
-    def _view_terms(self) -> Terms:
-        """Return pinocchio's memory as terms, so that nothing needs to be copied."""
+    def _view_terms(self) -> None:
+        """Look at pinocchio's memory as terms, so that nothing needs to be copied."""
         data = self._data
         frame = data.oMf[self._frame]
         sensor = data.oMf[self._sensor]
-        placements = (
+        self.gravity: Vector = data.g
+        self._joint_terms: tuple[Matrix, Vector] = (data.M, data.nle)
+        self._placements: tuple[Vector, Matrix, Vector, Matrix] = (
             frame.translation,
             frame.rotation,
             sensor.translation,
             sensor.rotation,
         )
-        return Terms(
-            mass_matrix=data.M,
-            bias_torque=data.nle,
-            gravity=data.g,
-            jacobian=np.zeros((6, self._model.nv)),
-            jacobian_rate=np.zeros((6, self._model.nv)),
-            placements=placements,
+        unknown = np.zeros((6, self._model.nv))
+        self.term_tuple: TermTuple = (
+            *self._joint_terms,
+            unknown,
+            unknown,
+            *self._placements,
         )
+
+    @property
+    def terms(self) -> ModelTerms:
+        """
+        Return the terms of the model where `compute` was called last.
+
+        They are in pinocchio's memory, and so valid until the next call.
+        """
+        return ModelTerms(*self.term_tuple)
 
     @property
     def joint_count(self) -> int:
@@ -177,25 +183,25 @@ class RobotModel:
             )
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
-    def compute(self, q: Vector, v: Vector) -> Terms:
-        """
-        Return `terms` at positions [rad] and velocities [rad/s], shape (n,).
-
-        They are in pinocchio's memory, and so valid until the next call.
-        """
+    def compute(self, q: Vector, v: Vector) -> None:
+        """Work out `terms` and `gravity` at positions [rad] and velocities [rad/s], (n,)."""
         model = self._model
         data = self._data
-        terms = self.terms
         # M, C v + g, and what the Jacobians need.
         pin.computeAllTerms(model, data, q, v)
         pin.updateFramePlacements(model, data)
-        terms.jacobian = pin.getFrameJacobian(
+        jacobian = pin.getFrameJacobian(
             model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
         )
-        terms.jacobian_rate = pin.getFrameJacobianTimeVariation(
+        jacobian_rate = pin.getFrameJacobianTimeVariation(
             model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
         )
-        return terms
+        self.term_tuple = (
+            *self._joint_terms,
+            jacobian,
+            jacobian_rate,
+            *self._placements,
+        )
 
     def update(self, q: Vector, v: Vector) -> RobotState:
         """
@@ -214,10 +220,11 @@ class RobotModel:
         """
         require_shape('q', q, (self._model.nv,))
         require_shape('v', v, (self._model.nv,))
-        terms = self.compute(q, v)
+        self.compute(q, v)
+        terms = self.terms
         data = self._data
         upper = np.triu(terms.mass_matrix)
-        gravity = terms.gravity.copy()
+        gravity = self.gravity.copy()
         jacobian = np.ascontiguousarray(terms.jacobian)
         return RobotState(
             mass_matrix=upper + np.triu(upper, 1).T,

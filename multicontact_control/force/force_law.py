@@ -183,13 +183,12 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
                 config.force,
                 period=config.period,
                 tool_mass=config.tool.mass,
-                ratio_limits=ratio_limits,
             )
+            settings = law['stiffness']['config']
+            settings['ratio_limit'] = ratio_limits
             if column.kind != FORCE:
                 leader = config.columns[column.leader]
-                law['stiffness']['config']['share'] = (
-                    column.stiffness / leader.stiffness
-                )
+                settings['share'] = column.stiffness / leader.stiffness
     return laws
 
 

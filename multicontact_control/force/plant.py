@@ -78,7 +78,9 @@ def discretise_delayed_input(
     n, r = B.shape
     # The tolerance keeps 0.006 / 0.002 at three periods in spite of rounding.
     d = math.ceil(input_delay / period - 1e-9)
-    late = input_delay - (d - 1) * period if d else 0.0  # tau'
+    late = 0.0  # tau'
+    if d:
+        late = input_delay - (d - 1) * period
     late = min(max(late, 0.0), period)
     Phi_h, _ = _zero_order_hold(A, B, period)
     after, recent = _zero_order_hold(A, B, period - late)
@@ -96,13 +98,7 @@ def discretise_delayed_input(
 def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Matrix]:
     """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
     n, r = B.shape
-    is_damped_mass = (
-        B.shape == (2, 1)
-        and A[0].tolist() == [0.0, 1.0]
-        and A[1, 0] == 0.0
-        and B[0, 0] == 0.0
-    )
-    if is_damped_mass:
+    if _is_damped_mass(A, B):
         return _damped_hold(float(B[1, 0]), -float(A[1, 1]), duration)
     augmented = np.zeros((n + r, n + r))
     augmented[:n] = np.hstack([A, B])
@@ -110,21 +106,33 @@ def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Mat
     return exponential[:n, :n], exponential[:n, n:]
 
 
+def _is_damped_mass(A: Matrix, B: Matrix) -> bool:
+    """Return whether A = [[0, 1], [0, -K_2]] and B = [[0], [k]]."""
+    if B.shape != (2, 1) or B[0, 0] != 0.0:
+        return False
+    return A[0].tolist() == [0.0, 1.0] and bool(A[1, 0] == 0.0)
+
+
 def _damped_hold(
     stiffness: float,
     damping_rate: float,
     duration: float,
 ) -> tuple[Matrix, Matrix]:
-    """Return the same for A = [[0, 1], [0, -K_2]], B = [[0], [k]], in closed form."""
+    """Return what `_zero_order_hold` does for a damped mass, in closed form."""
     # A general matrix exponential may keep a control tick waiting for the threads of its BLAS.
     x = damping_rate * duration
-    first = -math.expm1(-x) / x if x else 1.0  # (1 - e^-x) / x
+    first = 1.0  # (1 - e^-x) / x
+    if x:
+        first = -math.expm1(-x) / x
     if x > SMALL_EXPONENT:
         second = (1.0 - first) / x
     else:  # by its series, where that would cancel
         second = sum((-x) ** n / math.factorial(n + 2) for n in range(10))
-    Phi = np.array([[1.0, duration * first], [0.0, math.exp(-x)]])
-    return Phi, stiffness * duration * np.array([[duration * second], [first]])
+    way_of_speed = duration * first
+    speed_kept = math.exp(-x)
+    Phi = np.array([[1.0, way_of_speed], [0.0, speed_kept]])
+    Gamma = stiffness * duration * np.array([[duration * second], [first]])
+    return Phi, Gamma
 
 
 def place_eigenvalues(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
@@ -139,8 +147,7 @@ def place_eigenvalues(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vec
     scale = np.maximum(np.abs(Gamma), np.abs(Phi).max(axis=1))
     scale[scale == 0.0] = 1.0
     Phi_s = Phi / scale[:, None] * scale
-    Gamma_s = Gamma / scale
-    columns = [Gamma_s]
+    columns = [Gamma / scale]
     for _ in range(n - 1):
         columns.append(Phi_s @ columns[-1])
     polynomial = np.eye(n)
@@ -148,7 +155,8 @@ def place_eigenvalues(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vec
         polynomial = polynomial @ (Phi_s - pole * np.eye(n))
     last = np.zeros(n)
     last[-1] = 1.0
-    feedback: Vector = np.linalg.solve(np.vstack(columns), last) @ polynomial / scale
+    last_row = np.linalg.solve(np.vstack(columns), last)  # of the inverse
+    feedback: Vector = last_row @ polynomial / scale
     return feedback
 
 

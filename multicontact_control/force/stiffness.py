@@ -17,7 +17,6 @@ alpha = x_1 + (c / k) x_2. Its poles stay where they are as long as the tool's i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 from typing import Annotated, Protocol
 
@@ -374,13 +373,12 @@ def set_up_stiffness(
     *,
     period: float,
     tool_mass: float,
-    ratio_limits: Sequence[float],
 ) -> None:
     """
     Fill in a record of `STIFFNESS` whose model starts from a stiffness [N/m] and its plant.
 
-    Period h [s], mass beyond the sensor [kg], and the true over modelled stiffness up to which
-    the loop is stable, of `LIMITS` models from the softest to the stiffest, equal ratios apart.
+    Period h [s] and mass beyond the sensor [kg]. Left to the caller are `config.ratio_limit`, see
+    `find_ratio_limits`, and `config.share` of a couple.
     """
     values = {
         'adaptive': True,
@@ -390,7 +388,6 @@ def set_up_stiffness(
         'highest': config.adaptive.highest,
         'fastest_pole': 1.0 / config.time_constant,
         'pole_ratio': config.second_pole_ratio,
-        'ratio_limit': ratio_limits,
     }
     settings = record['config']
     for name, value in values.items():

@@ -17,7 +17,9 @@ SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last forc
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
 SETTLE_AFTER_PUSH = 1.0  # s, left out of the quiet windows
 LEAST_MOVING_SPEED = 1e-3  # m/s, from which on a commanded pose moves
-LEAST_TRUTH_SHARE = 0.9  # of the time under load, that a true force is known for
+LEAST_TRUTH_SHARE = (
+    0.9  # of the time under load, for which a true force has to be known
+)
 ROUNDING_TIME = 1e-9  # s, by which the stamp of a sample may be off by rounding
 
 
@@ -25,21 +27,21 @@ class Windows(NamedTuple):
     """
     The stretches of a run that are judged, as masks of its samples, shape (m,).
 
-    Rest and motion are judged apart, since noise, and so R, differs between them by two orders.
-    Samples that were not recorded are in none of them.
+    Rest and motion are judged apart: the noise of the force, and so its variance R, differs
+    between them by two orders. Samples that were not recorded are in none of the windows. Their
+    exact times are in `_find_scenario_windows` and `_find_commanded_windows`.
     """
 
-    rest: Mask  # under the last force step, from 1 s after it until the motion starts
-    moving: Mask  # from 2 s after the start of the motion on
-    loaded: Mask  # from the first force step on
+    rest: Mask  # a force is asked for and has settled, and nothing moves
+    moving: Mask  # a force is asked for, in motion
+    loaded: Mask  # a force is asked for
 
 
 class Push(NamedTuple):
     """
     A push of the simulated plant on the tool.
 
-    Its force is not among the fields: it is judged by what the contacts feel of it, and how soon
-    they are back.
+    It is judged by the largest error of the contacts' forces and by the time until they are back.
     """
 
     start: float  # s
@@ -72,9 +74,9 @@ class RunSeries:
         self.setup = setup
         self.missing = missing
         self.recorded = data.recorded()
-        # Of each column, that of the normal force of its contact.
+        # For each column, the index of the normal force of its contact.
         self.leaders = list(setup.controller.leading_columns)
-        # A recording that lost its end has no say in what came of the last step.
+        # Where a recording breaks off; an answer that lasts until then is judged up to there.
         self.lost_from = math.inf  # s
         end = data.ticks / data.rate
         for stretch in missing:
@@ -97,38 +99,43 @@ class RunSeries:
             planned = self._find_commanded_windows()
         else:
             planned = self._find_scenario_windows()
-        return Windows(*np.logical_and(planned, self.recorded))
+        recorded = [window & self.recorded for window in planned]
+        return Windows(*recorded)
 
     def _list_step_times(self) -> list[float]:
         """Return when the force steps of the scenario come [s], in their order."""
         return [step.time for step in self.setup.scenario.reference.force_steps]
 
     def _find_scenario_windows(self) -> Windows:
-        """Return the windows that force steps and motion of the scenario set."""
-        time = self.data.time
+        """
+        Return the windows that force steps and motion of the scenario set.
+
+        `loaded` is from the first force step on, `rest` from 1 s after the last one before the
+        motion until the motion starts, and `moving` from 2 s after that on.
+        """
         steps = self._list_step_times()
         steps_at_rest = [step for step in steps if step < self.motion_start]
         rest_start = max(steps_at_rest, default=math.inf) + SETTLE_AFTER_STEP
         moving_start = self.motion_start + SETTLE_AFTER_START
         load_start = min(steps, default=math.inf)
         return Windows(
-            rest=(time >= rest_start) & (time < self.motion_start),
-            moving=time >= moving_start,
-            loaded=time >= load_start,
+            rest=self.between(rest_start, self.motion_start),
+            moving=self.between(moving_start, math.inf),
+            loaded=self.between(load_start, math.inf),
         )
 
     def _find_commanded_windows(self) -> Windows:
         """
         Return the windows of a run that obeys commands.
 
-        `loaded` is while a force is asked for, `moving` while the pose asked for moves, and `rest`
-        what is 1 s away from that and from every change of a command.
+        `loaded` is while a force is asked for, `moving` while in addition the pose asked for
+        moves, and `rest` while neither pose nor command has changed for 1 s.
         """
         data = self.data
         command = np.nan_to_num(data.command)
         loaded = np.asarray((command > 0.0).any(axis=1))
-        way = np.diff(data.position_des, axis=0, prepend=data.position_des[:1])
-        moving = np.linalg.norm(way, axis=1) * data.rate > LEAST_MOVING_SPEED
+        displacement = np.diff(data.position_des, axis=0, prepend=data.position_des[:1])
+        moving = np.linalg.norm(displacement, axis=1) * data.rate > LEAST_MOVING_SPEED
         # The first command counts as a change.
         steps = np.diff(command, axis=0, prepend=np.nan)
         changed = (steps != 0.0).any(axis=1)
@@ -161,6 +168,8 @@ class RunSeries:
 
         A run of the user's own robot has none that is known.
         """
+        if not self.setup.simulated:
+            return []
         plant = self.setup.plant
         return list(map(Push, plant.push_start, plant.push_duration))
 
@@ -179,7 +188,7 @@ class RunSeries:
     @cached_property
     def has_truth(self) -> Mask:
         """
-        Whether the true force is known for 0.9 of the load, shape (r,).
+        Whether the true force is known for `LEAST_TRUTH_SHARE` of the time under load, shape (r,).
 
         Only a simulated plant knows it. With less, a statistic over the known part would be that
         of a chosen part of the run.
@@ -244,9 +253,7 @@ class RunSeries:
         It ends the time in which an answer can be judged; infinite after the last event. Commands
         over topics are not among them.
         """
-        events: list[float] = []
-        if self.setup.simulated:
-            events += self.setup.plant.push_start
+        events = [push.start for push in self.pushes]
         if not self.setup.commanded_by_topic:
             events.append(self.motion_start)
             events += self._list_step_times()
@@ -270,7 +277,8 @@ def statistic_within(
     return float(statistic(known))
 
 
-def _find_rms(values: Vector) -> float:
+def _compute_rms(values: Vector) -> float:
+    """Return the root mean square of values that are all known, shape (k,)."""
     return math.sqrt((values * values).mean())
 
 
@@ -281,7 +289,7 @@ def rms_within(window: Mask, values: Vector) -> float | None:
     Window and series have shape (m,); samples that are NaN do not count, and the unit is that of
     the series.
     """
-    return statistic_within(window, values, _find_rms)
+    return statistic_within(window, values, _compute_rms)
 
 
 def find_long_stretches(mask: Mask, least: float) -> list[tuple[int, int]]:

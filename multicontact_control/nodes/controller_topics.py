@@ -37,7 +37,6 @@ class ContactSeries(NamedTuple):
 
 
 CONTACT_SERIES = {
-    topics.MEASURED_FORCES: ContactSeries('contacts', {'effort': 'alpha_meas'}),
     topics.ESTIMATED_FORCES: ContactSeries(
         'answer', {'velocity': 'alpha_rate_est', 'effort': 'alpha_est'}
     ),
@@ -112,6 +111,10 @@ class ControllerOutputs:
                 Float64MultiArray, name, qos.STREAM
             )
         zeros = np.zeros(len(config.column_names))
+        pattern = messages.joint_state_message(
+            0, config.column_names, position=zeros, effort=zeros
+        )
+        self._measured_forces = StreamPublisher(node, topics.MEASURED_FORCES, pattern)
         self._series: list[tuple[StreamPublisher, ContactSeries]] = []
         for topic, series in {**CONTACT_SERIES, **STIFFNESS_SERIES}.items():
             pattern = messages.joint_state_message(
@@ -143,6 +146,9 @@ class ControllerOutputs:
             The controller's answer to the sample.
 
         """
+        forces = output.contacts['alpha_meas']
+        is_measured = np.full_like(forces, output.controls['measured'][0])
+        self._measured_forces.publish_if_subscribed(stamp, is_measured, forces)
         for publisher, series in self._series:
             record = getattr(output, series.record)
             columns = [record[field] for field in series.numbers.values()]

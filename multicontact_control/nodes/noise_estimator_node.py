@@ -27,10 +27,11 @@ import numpy as np
 
 
 class ForceSample(NamedTuple):
-    """The measured forces and couples of one sample, shape (r,) [N]."""
+    """The forces and couples of one sample, each of shape (r,) [N], or whether it was measured."""
 
     stamp: int  # ns
     forces: Vector
+    is_measured: Vector | None  # 0 where the force repeats the last reading; None for 1
 
 
 class NoiseEstimatorNode(ManagedNode):
@@ -66,8 +67,12 @@ class NoiseEstimatorNode(ManagedNode):
             fields[topics.INNOVATION] = ['position', 'velocity', 'effort']
         self._readers = {}
         for topic in fields:
+            optional = ['position'] if topic is topics.MEASURED_FORCES else []
             read = partial(
-                messages.read_named_vectors, names=names, fields=fields[topic]
+                messages.read_named_vectors,
+                names=names,
+                fields=fields[topic],
+                optional=optional,
             )
             self._readers[topic] = MessageReader(topic.message, read)
             self.create_subscription(
@@ -148,7 +153,10 @@ class NoiseEstimatorNode(ManagedNode):
             self._last_answer = b''
             self._samples += 1
             innovation = dict(self._innovations).get(sample.stamp)
-            variance = self._estimator.update(sample.forces, innovation)
+            measured = sample.is_measured is None or bool(sample.is_measured.all())
+            variance = self._estimator.update(
+                sample.forces, innovation, measured=measured
+            )
             self._last_answer = self._publisher.encode_message(sample.stamp, variance)
         if self._last_answer:
             self._publisher.publish(self._last_answer)

@@ -92,7 +92,8 @@ MEASURED_FORCES = Topic(
     JointState,
     CONTROLLER,
     (ESTIMATOR,),
-    content='name = contact, effort = measured force [N].',
+    content='name = contact, effort = measured force [N], position = 1 where the wrench is of '
+    'this sample, 0 where the force repeats the last reading.',
 )
 ESTIMATED_FORCES = Topic(
     'contact_forces/estimated',

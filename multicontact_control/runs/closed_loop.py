@@ -157,7 +157,7 @@ def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vecto
     Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2].
 
     Estimators of innovations get what the observers did not expect (P04 eq. 42), all others the
-    measured forces alone.
+    measured forces alone. The last R is given again where the wrench is not of this sample.
     """
     innovation = None
     if estimator.uses_innovation:
@@ -165,7 +165,10 @@ def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vecto
         innovation = Innovation(
             answer['innovation'], answer['prior_variance'], answer['variance_used']
         )
-    return estimator.update(output.contacts['alpha_meas'], innovation)
+    measured = bool(output.controls['measured'][0])
+    return estimator.update(
+        output.contacts['alpha_meas'], innovation, measured=measured
+    )
 
 
 @dataclass(frozen=True)

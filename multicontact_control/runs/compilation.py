@@ -106,6 +106,7 @@ def compile_beside() -> None:
 
     In a process of its own, on another core. What fails there is compiled by what follows.
     """
+    from multicontact_control.dynamics.terms import ModelTerms
     from multicontact_control.records import CONTACT, CONTROL, JOINT
     from multicontact_control.runs.scenario import resolve
     from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
@@ -114,8 +115,17 @@ def compile_beside() -> None:
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
     from sim_bridge.plant import Plant
 
-    mass_matrix = np.eye(6, order='F')  # as pinocchio gives it
-    jacobian = np.eye(6)
+    rotation = np.eye(3, order='F')
+    terms = ModelTerms(  # in the order of elements in which pinocchio gives them
+        mass_matrix=np.eye(6, order='F'),
+        bias_torque=np.zeros(6),
+        jacobian=np.eye(6),
+        jacobian_rate=np.eye(6),
+        position=np.zeros(3),
+        rotation=rotation,
+        sensor_position=np.zeros(3),
+        sensor_rotation=rotation,
+    )
     joints: Any = np.zeros(6, dtype=JOINT)
     controls: Any = np.zeros(1, dtype=CONTROL)
     contacts: Any = np.zeros(2, dtype=CONTACT)
@@ -124,7 +134,7 @@ def compile_beside() -> None:
     limits: Any = np.zeros(1, dtype=TASK_LIMITS)
     stages: Any = np.zeros(1, dtype=INPUT_STAGE)
     stages['settings']['commands'] = 2
-    pass_gate(gates[0], joints, controls[0], contacts, mass_matrix, jacobian, 0)
+    pass_gate(gates[0], joints, controls[0], contacts, terms, 0)
     limit_task(limits[0], controls[0], contacts, states)
     check_inputs(stages, np.zeros(6), np.zeros(6), joints, controls, contacts)
     for name in ('flexible', 'rigid'):
@@ -181,9 +191,11 @@ def _call_remaining_kernels() -> None:
         ('rigid', 0.0, False),
         ('rigid', 0.25, False),
     ):
-        setup = resolve(
-            'quick', plant=plant, plant_overrides={'joint_friction_scale': friction}
-        )
+        overrides = {
+            'joint_friction_scale': friction,
+            'actuation': {'torque_loop': True},
+        }
+        setup = resolve('quick', plant=plant, plant_overrides=overrides)
         duration = TICKS * setup.controller.period  # shorter than any that is accepted
         scenario = setup.scenario.model_copy(update={'duration': duration})
         run_in_process(replace(setup, scenario=scenario), supervised=supervised)

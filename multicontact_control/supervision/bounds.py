@@ -28,6 +28,7 @@ from multicontact_control.arrays import Bytes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.dynamics.operational_space import compute_mobility_gradient
+from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.flags import JOINT_BOUNDED, SINGULARITY_BOUNDED
 from multicontact_control.records import (
     Contact,
@@ -73,6 +74,8 @@ class BoundSpace(Record, Protocol):
     Rows R and bounds b say R a <= b of the accelerations a; the least change x of these costs
     x^T H x, see `fill_change_cost`.
     """
+
+    torque: Annotated[Vector, MAX_JOINTS]  # Gamma [N m]
 
     # See `add_joint_bounds`.
     rows: Annotated[Matrix, MAX_BOUNDS, MAX_JOINTS]
@@ -204,21 +207,23 @@ def add_reach_bounds(
 
 @compiled
 def fill_change_cost(
-    mass_matrix: Matrix,
-    jacobian: Matrix,
+    terms: ModelTerms,
     contacts: Records[Contact],
     twist_des: Vector,
     by_task: bool,
-    row: Vector,
-    cost: Matrix,
+    space: BoundSpace,
 ) -> None:
     """
-    Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
+    Fill in H, `cost` of `space`, shape (n, n): a change of the accelerations by x costs x^T H x.
 
     Without a task (`by_task`), of a reaction say, the metric is M alone: the joints that must stop
-    are stopped, and the torques of the others stay. `row`, shape (n,), is overwritten.
+    are stopped, and the torques of the others stay. `twist_des` is theta_des of the task, shape
+    (6,) [m/s, rad/s], `contacts` are records of `CONTACT`; of `terms` M and J are read.
     """
+    mass_matrix = terms.mass_matrix
     n = mass_matrix.shape[0]
+    row = space.row[:n]
+    cost = space.cost[:n, :n]
     for i in range(n):
         for j in range(i, n):
             cost[i, j] = JOINT_COST * mass_matrix[i, j]
@@ -232,14 +237,14 @@ def fill_change_cost(
     )
     for index in range(contacts.shape[0] + 6):
         if index < 6:
-            row[:] = jacobian[index]
+            row[:] = terms.jacobian[index]
             weight = MOTION_COST if index < 3 else turn_cost
         else:
             contact = contacts[index - 6]
             weight = FORCE_COST
             if not contact.answer.active:
                 continue
-            multiply_vector(jacobian.T, contact.N, row)
+            multiply_vector(terms.jacobian.T, contact.N, row)
         for i in range(n):
             for j in range(i, n):
                 cost[i, j] += weight * row[i] * row[j]
@@ -312,7 +317,6 @@ def _find_wrong_bound(
 
 @compiled
 def predict_acceleration(
-    torque: Vector,
     control: Control,
     joints: Records[Joint],
     contacts: Records[Contact],
@@ -323,7 +327,7 @@ def predict_acceleration(
     Fill in M^-1 (Gamma - C v - g - friction - J^T f), shape (n,) [rad/s^2].
 
     f is the measured wrench of the contacts, or what is fed forward to them where there is none.
-    `space` is a record of `BOUND_SPACE`, with L in it.
+    `space` is a record of `BOUND_SPACE`, with Gamma and L in it.
     """
     n, wrench = joints.shape[0], space.wrench
     acceleration = space.acceleration[:n]
@@ -342,7 +346,7 @@ def predict_acceleration(
             + joint.config.coulomb
             * np.tanh(joint.velocity / control.law.friction_speed)
         )
-        acceleration[j] = torque[j] - joint.bias_torque - friction
+        acceleration[j] = space.torque[j] - joint.bias_torque - friction
         for i in range(6):
             acceleration[j] -= jacobian[i, j] * wrench[i]
     solve_cholesky(space.L[:n, :n], acceleration)
@@ -350,12 +354,10 @@ def predict_acceleration(
 
 @compiled
 def bound_motion(
-    torque: Vector,
     joints: Records[Joint],
     control: Control,
     contacts: Records[Contact],
-    mass_matrix: Matrix,
-    jacobian: Matrix,
+    terms: ModelTerms,
     by_task: bool,
     space: BoundSpace,
 ) -> int:
@@ -364,16 +366,15 @@ def bound_motion(
 
     Parameters
     ----------
-    torque
-        Gamma, shape (n,) [N m], changed by M x, x the least change of accelerations that serves.
     joints, control, contacts
         Records of `JOINT`, shape (n,), one of `CONTROL`, and records of `CONTACT`, shape (r,).
-    mass_matrix, jacobian
-        M (upper triangle), shape (n, n), and J, shape (6, n).
+    terms
+        Of the arm's model: M and J are read.
     by_task
         Whether the torque serves contacts and a task, which are kept as far as possible.
     space
-        A record of `BOUND_SPACE`.
+        A record of `BOUND_SPACE`, whose `torque` is changed by M x, x the least change of
+        accelerations that serves.
 
     Returns
     -------
@@ -382,7 +383,9 @@ def bound_motion(
 
     """
     n = joints.shape[0]
-    rows, bounds = space.rows[:, :n], space.bounds
+    mass_matrix = terms.mass_matrix
+    rows = space.rows[:, :n]
+    bounds = space.bounds
     stops = add_joint_bounds(joints, rows, bounds)
     count = stops
     nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR_ROOT**2
@@ -392,30 +395,22 @@ def bound_motion(
     if not cholesky(mass_matrix, L, 0.0):
         return 0
     if nearly_singular:
-        Y[:] = jacobian.T
+        Y[:] = terms.jacobian.T
         solve_lower_columns(L, Y)
-        count = add_reach_bounds(joints, jacobian, rows, bounds, count, space)
-    predict_acceleration(torque, control, joints, contacts, jacobian, space)
+        count = add_reach_bounds(joints, terms.jacobian, rows, bounds, count, space)
+    predict_acceleration(control, joints, contacts, terms.jacobian, space)
     exceeded = False
     for i in range(count):
         space.excess[i] = dot(rows[i], space.acceleration[:n]) - bounds[i]
         exceeded = exceeded or space.excess[i] > 0.0
     if not exceeded:
         return 0
-    fill_change_cost(
-        mass_matrix,
-        jacobian,
-        contacts,
-        control.task.twist,
-        by_task,
-        space.row[:n],
-        space.cost[:n, :n],
-    )
+    fill_change_cost(terms, contacts, control.task.twist, by_task, space)
     if not solve_least_change(n, count, space):
         return 0
     for i in range(n):
         for j in range(n):
-            torque[i] += mass_matrix[min(i, j), max(i, j)] * space.change[j]
+            space.torque[i] += mass_matrix[min(i, j), max(i, j)] * space.change[j]
     enforced = 0
     for i in range(count):
         if space.multipliers[i] > 0.0:

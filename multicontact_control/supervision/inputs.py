@@ -231,6 +231,11 @@ class Inputs:
         return self._found['wrench']['problem'] not in (ABSENT, STAMP, OUTLIER)
 
     @property
+    def wrench_age(self) -> float:
+        """Return how long ago the newest valid wrench was sampled [s]; NaN if there was none."""
+        return float(self._state['time'] - self._state['wrench']['valid'])
+
+    @property
     def sensor_fault(self) -> str:
         """Return what is wrong with the wrench of this tick, empty for nothing or a short gap."""
         return self._name_problem('wrench')

@@ -15,7 +15,7 @@ from multicontact_control.dynamics.operational_space import (
     INERTIA_SPACE,
     InertiaSpace,
 )
-from multicontact_control.records import Law, Records, Task
+from multicontact_control.records import Records, Task
 from multicontact_control.supervision.velocities import (
     OFFSET_TOLERANCE,
     SHARE_TOLERANCE,
@@ -95,14 +95,7 @@ PHYSICAL = (
 
 
 def hold_torque(
-    way: Vector,
-    velocity: Vector,
-    bias_torque: Vector,
-    mass_matrix: Matrix,
-    jacobian: Matrix,
-    frequency: float,
-    damping: float,
-    laws: Records[Law],
+    arm: ArmState, way: Vector, velocity: Vector, frequency: float, damping: float
 ) -> Vector:
     """
     Return the torque that holds a posture, shape (n,) [N m].
@@ -114,28 +107,30 @@ def hold_torque(
 
     Parameters
     ----------
-    way, velocity, bias_torque
-        q_0 - q [rad], v [rad/s] and C v + g [N m], shape (n,).
-    mass_matrix, jacobian
-        M, upper triangle, and J, shape (6, n).
+    arm
+        The arm, for C v + g, M and J, and for how Lambda is damped near singularities.
+    way, velocity
+        q_0 - q [rad] and v [rad/s], shape (n,).
     frequency, damping
         w [rad/s] and d.
-    laws
-        One record of `LAW`, for what is done near singularities.
 
     """
     least = min(frequency, FREE_FREQUENCY)
     free = least**2 * way - 2.0 * least * velocity
-    upper = np.triu(mass_matrix)
-    torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
+    terms = arm.robot.terms
+    upper = np.triu(terms.mass_matrix)
+    torque: Vector = arm.bias_torque + (upper + np.triu(upper, 1).T) @ free
     inertia: InertiaSpace = np.zeros(1, dtype=INERTIA_SPACE)[0]
     singular, _ = compute_mobility_and_inertia(
-        mass_matrix, jacobian, laws['singular_mobility'][0], inertia
+        terms.mass_matrix,
+        terms.jacobian,
+        arm.controls['law']['singular_mobility'][0],
+        inertia,
     )
     if singular < 0.0:
         return torque
     stiffer = frequency**2 * way - 2.0 * damping * frequency * velocity - free
-    torque += jacobian.T @ (inertia['Lambda'] @ (jacobian @ stiffer))
+    torque += terms.jacobian.T @ (inertia['Lambda'] @ (terms.jacobian @ stiffer))
     return torque
 
 
@@ -177,7 +172,6 @@ class Reactions:
         self._contacts = controller.contacts
         self._added: Vector = controller.arm.joints['drive_gravity_torque']
         self._task: Records[Task] = controller.controls['task']
-        self._law: Records[Law] = controller.controls['law']
         self._swings: Matrix = np.zeros((3, self._robot.joint_count))
         self._begin_swings()
         self._keep_turns = math.exp(-config.period / TURN_TIME)
@@ -324,16 +318,8 @@ class Reactions:
         frequency = self._frequency
         if not timed:
             frequency = min(frequency, FREE_FREQUENCY)
-        terms = self._robot.terms
         return hold_torque(
-            self._posture - arm.q,
-            velocity,
-            arm.bias_torque,
-            terms.mass_matrix,
-            terms.jacobian,
-            frequency,
-            self._damping,
-            self._law,
+            arm, self._posture - arm.q, velocity, frequency, self._damping
         )
 
     def _begin_swings(self) -> None:

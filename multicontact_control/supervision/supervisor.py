@@ -49,7 +49,7 @@ from multicontact_control.supervision.inputs import (
 )
 from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
 from multicontact_control.supervision.report import make_empty_answer, SupervisorStatus
-from multicontact_control.tick import ACT, SEE, tick, WORKSPACE
+from multicontact_control.tick import ACT, SEE, tick, TickRecords, WORKSPACE
 import numpy as np
 
 LOGGER = logging.getLogger(__name__)
@@ -111,19 +111,19 @@ class Supervisor:
         self._judgement = judgements[0]
         self._q = controller.arm.q
         self._velocity = controller.arm.velocity
-        self._records = (
-            self._joints,
-            self._controls,
-            controller.contacts,
-            controller.laws,
-            self.task.states,
-            self.task.limits,
-            judgements,
-            self.gate.records,
-            np.zeros(1, dtype=WORKSPACE),
-            self._q,
-            self._velocity,
+        self._motion = controller.arm.motion
+        records = TickRecords(
+            joints=self._joints,
+            controls=self._controls,
+            contacts=controller.contacts,
+            laws=controller.laws,
+            states=self.task.states,
+            limits=self.task.limits,
+            judgements=judgements,
+            gates=self.gate.records,
+            workspaces=np.zeros(1, dtype=WORKSPACE),
         )
+        self._records = records[:]  # a plain tuple, as `tick` takes it
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']
         self._has_free_readings = self.task.limits['has_free_readings']
@@ -257,16 +257,7 @@ class Supervisor:
 
     def _run_stages(self, stages: int) -> int:
         """Run stages of the compiled pass on the terms of the model; return what was found."""
-        terms = self._robot.terms
-        return tick(
-            stages,
-            *self._records,
-            terms.mass_matrix,
-            terms.bias_torque,
-            terms.jacobian,
-            terms.jacobian_rate,
-            *terms.placements,
-        )
+        return tick(stages, self._records, self._motion, self._robot.term_tuple)
 
     def _set_wrench_known(self, known: bool) -> None:
         """Say whether the wrench is of this sample, and the contacts' forces with it."""
@@ -391,7 +382,7 @@ class Supervisor:
             return
         acting = np.zeros(self._robot.joint_count)
         if self._arm is not None:
-            acting = self._robot.terms.gravity.copy()
+            acting = self._robot.gravity.copy()
         measured = self.inputs.measured_effort + self._joints['drive_gravity_torque']
         self.gate.begin_from(np.where(np.isnan(measured), acting, measured))
 

@@ -276,18 +276,19 @@ class ControlPanel:
             f'Press with {PRESS_FORCE:g} N',
             source.FORCES,
             'every contact',
-            lambda: dict.fromkeys(config.contact_names, PRESS_FORCE),
+            partial(dict.fromkeys, config.contact_names, PRESS_FORCE),
         )
         self._add_button(
             'Let go',
             source.FORCES,
             'of every contact',
-            lambda: dict.fromkeys(config.column_names, 0.0),
+            partial(dict.fromkeys, config.column_names, 0.0),
         )
-        self._hold = self._add_button(
-            HOLD, source.HOLD, values=lambda: {'on': self._hold.label == HOLD}
-        )
+        self._hold = self._add_button(HOLD, source.HOLD, values=self._read_hold)
         self._add_button('Seek given-up contacts again', source.RETRY)
+
+    def _read_hold(self) -> CommandValues:
+        return {'on': self._hold.label == HOLD}
 
     def _add_motion(self) -> None:
         gui = self._gui
@@ -345,7 +346,7 @@ class ControlPanel:
             'Set these gains',
             source.GAINS,
             'the torque goes over smoothly',
-            lambda: {name: float(slider.value) for name, slider in self._gains.items()},
+            self._read_gains,
         )
         with gui.add_folder('Wrist sensor'):
             self._add_button(
@@ -359,6 +360,9 @@ class ControlPanel:
                 source.CANCEL_PUSH_TEST,
                 'also one that has ended because nothing pushed',
             )
+
+    def _read_gains(self) -> CommandValues:
+        return {name: float(slider.value) for name, slider in self._gains.items()}
 
     def _add_surface(self, name: str, state: SurfaceState) -> None:
         gui = self._gui
@@ -414,13 +418,9 @@ class ControlPanel:
 
     def _add_replay(self, duration: float, marks: Sequence[LogLine]) -> None:
         gui = self._gui
-        self._play = self._add_button(
-            PLAY, source.PLAY, values=lambda: {'on': self._play.label != PAUSE}
-        )
+        self._play = self._add_button(PLAY, source.PLAY, values=self._read_play)
         speed = gui.add_dropdown('speed', tuple(SPEEDS), initial_value='1 x')
-        self._request_on_change(
-            speed, source.SPEED, lambda label: {'factor': SPEEDS[label]}
-        )
+        self._request_on_change(speed, source.SPEED, _read_speed)
         self._time = gui.add_slider(
             'time [s]', min=0.0, max=max(duration, 0.1), step=0.02, initial_value=0.0
         )
@@ -429,9 +429,14 @@ class ControlPanel:
         for moment, text in marks[:MAX_MARKS]:
             moments[f'{moment:.2f} s: {text}'] = moment
         jump = gui.add_dropdown('jump to', tuple(moments))
-        self._request_on_change(
-            jump, source.SEEK, lambda label: {'time': moments[label]}
-        )
+
+        def read_moment(label: str) -> CommandValues:
+            return {'time': moments[label]}
+
+        self._request_on_change(jump, source.SEEK, read_moment)
+
+    def _read_play(self) -> CommandValues:
+        return {'on': self._play.label != PAUSE}
 
     def show_snapshot(self, snapshot: Snapshot) -> None:
         """
@@ -470,6 +475,10 @@ class ControlPanel:
         else:
             label = PLAY
         _show_label(self._play, label)
+
+
+def _read_speed(label: str) -> CommandValues:
+    return {'factor': SPEEDS[label]}
 
 
 def _name_value(name: str, value: Any) -> CommandValues:

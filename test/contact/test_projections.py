@@ -13,6 +13,7 @@ from multicontact_control.algebra import multiply_vector, solve_cholesky
 from multicontact_control.contact.geometry import normal_space, project_on_contacts
 from multicontact_control.contact.projections import (
     compose_acceleration,
+    CONTACT_PROJECTION,
     factorise_contacts,
 )
 from multicontact_control.control.law import apply_force_law, convert_to_coordinates
@@ -52,34 +53,42 @@ def factorise(N, Lambda=None):
     return rows, weighted, factor
 
 
+def factorise_record(N, Lambda=None):
+    """Return a record of `CONTACT_PROJECTION`, whose factor of N^T N is that of N^T D, too."""
+    count = N.shape[1]
+    projection = np.zeros(1, dtype=CONTACT_PROJECTION)[0]
+    rows, weighted, factor = factorise(N, Lambda)
+    projection['rows'][:count] = rows
+    projection['weighted_rows'][:count] = weighted
+    for name in ('factor', 'weighted_factor'):
+        projection[name][:count, :count] = factor
+    return projection
+
+
 def projections(N, Lambda=None):
     """Return Omega_f, as the dual of Omega_c, and Omega_m."""
-    factors = factorise(N, Lambda)
-    beta = np.empty(N.shape[1])
+    projection = factorise_record(N, Lambda)
+    count = N.shape[1]
     none = np.zeros(6)
     Omega_m = np.empty((6, 6))
     Omega_c = np.empty((6, 6))
     column = np.empty(6)
     for k, unit in enumerate(np.eye(6)):
-        compose_acceleration(*factors, unit, none, beta, column)
+        compose_acceleration(projection, count, unit, none, column)
         Omega_m[:, k] = column
-        compose_acceleration(*factors, none, unit, beta, column)
+        compose_acceleration(projection, count, none, unit, column)
         Omega_c[:, k] = column
     assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
     return Omega_c.T, Omega_m
 
 
 def allocate_force(N, alpha_star, allocation):
-    rows, _, factor = factorise(N)
     law = np.zeros(1, dtype=LAW)[0]
     law['decoupled'] = allocation == 'decoupled'
-    count = len(rows)
-    contacts = np.zeros(count, dtype=CONTACT)
+    contacts = np.zeros(N.shape[1], dtype=CONTACT)
     inputs = np.array(alpha_star)
     f_c = np.empty(6)
-    apply_force_law(
-        law, rows, factor, np.zeros(6), contacts, inputs, np.empty(count), f_c
-    )
+    apply_force_law(law, np.zeros(6), contacts, factorise_record(N), inputs, f_c)
     return f_c
 
 

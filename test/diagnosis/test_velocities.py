@@ -11,10 +11,10 @@ RATE = 60.0  # rad/s
 
 def swing(delay=0):
     """Return positions and velocities of joints that swing once in 52 samples, shape (50, 2)."""
-    phase = np.repeat(
-        RATE * PERIOD * (np.arange(50) - delay)[:, None], len(NAMES), axis=1
-    )
-    return 0.3 - 0.2 / RATE * np.cos(phase), 0.2 * np.sin(phase)
+    phase = RATE * PERIOD * (np.arange(50.0) - delay)
+    both = np.column_stack([phase, phase])
+    position = 0.3 - 0.2 / RATE * np.cos(both)
+    return position, 0.2 * np.sin(both)
 
 
 Q, QD = swing()
@@ -31,14 +31,37 @@ Q, QD = swing()
         (QD + 0.3, 'offset'),
         (0.0 * QD + 0.3, 'frozen'),
         (0.0 * QD + np.inf, 'finite'),
-        (swing(13)[1], 'delay'),
+        (swing(13)[1], 'delayed'),
     ],
 )
 def test_what_is_wrong_with_a_velocity_is_named(velocity, likely):
-    text = explain_velocities(
-        np.hstack([Q, velocity]), np.array([1.5, 2.0]), NAMES, PERIOD
-    )
-    assert text.startswith('joint2: its velocity is') and likely in text
+    states = np.hstack([Q, velocity])
+    text = explain_velocities(states, np.array([1.5, 2.0]), NAMES, PERIOD)
+    assert text.startswith('joint2: its velocity is')
+    assert likely in text
+
+
+def explain_one(position, velocity, doubt):
+    """Return what is said of one joint."""
+    states = np.column_stack([position, velocity])
+    return explain_velocities(states, np.array([doubt]), NAMES[:1], PERIOD)
+
+
+def test_velocity_that_is_right_may_stay_the_same():
+    position = 0.2 * PERIOD * np.arange(50)
+    assert explain_one(position, np.full(50, 0.2), 0.1) == ''
+
+
+def test_velocity_that_stays_the_same_is_frozen_only_if_its_position_moves_otherwise():
+    steady = 0.2 * PERIOD * np.arange(50)
+    constant = np.full(50, 0.3)
+    assert 'is 0.1 rad/s beyond the rate' in explain_one(steady, constant, 2.0)
+    assert 'frozen' in explain_one(Q[:, 0], constant, 2.0)
+
+
+def test_velocity_of_a_joint_at_rest_is_no_multiple_of_its_rate():
+    text = explain_one(np.full(50, 0.3), QD[:, 0], 2.0)
+    assert 'times' not in text and 'up to 0.2 rad/s off the rate' in text
 
 
 @pytest.mark.parametrize('count', [50, 5])

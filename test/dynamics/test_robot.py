@@ -296,13 +296,10 @@ def torque_for(model, q, v, acceleration, **nullspace):
         owner[name] = value
     arm.motion[:] = q, v
     arm.take_motion()
-    terms = model.terms
     refused = control_law(
         controls[0],
         arm.joints,
-        terms.mass_matrix,
-        terms.jacobian,
-        terms.jacobian_rate,
+        model.terms,
         contacts,
         np.zeros(0, dtype=FORCE_LAW),
         np.zeros(1, dtype=LAW_SPACE)[0],

@@ -31,15 +31,8 @@ def stiffness_of(k=6000.0, delay=0.006, mass=0.5, **values):
     loop = design_force_loop(k, 100.0, delay)
     observer = make_observers([design_observer(loop)])[0]
     record = np.zeros(1, dtype=STIFFNESS)[0]
-    set_up_stiffness(
-        record,
-        loop.plant,
-        k,
-        config,
-        period=H,
-        tool_mass=mass,
-        ratio_limits=np.linspace(5.0, 1.0, 8).tolist(),
-    )
+    set_up_stiffness(record, loop.plant, k, config, period=H, tool_mass=mass)
+    record['config']['ratio_limit'] = np.linspace(5.0, 1.0, 8)
     return record, observer
 
 

@@ -60,6 +60,7 @@ class NoiseEstimator(ABC):
     def __init__(self, config: NoiseEstimatorConfig) -> None:
         self.config = config
         self.dropped = 0
+        self._unmeasured_ticks = 0  # in a row
         bounds = config.noise_variance
         self._smallest = bounds.smallest
         self._largest = bounds.largest
@@ -77,7 +78,13 @@ class NoiseEstimator(ABC):
         self._given: Vector = np.clip(self._variance, self._smallest, self._largest)
         self._forget()
 
-    def update(self, alpha: Vector, innovation: Innovation | None = None) -> Vector:
+    def update(
+        self,
+        alpha: Vector,
+        innovation: Innovation | None = None,
+        *,
+        measured: bool = True,
+    ) -> Vector:
         """
         Take in the force of one tick.
 
@@ -89,6 +96,10 @@ class NoiseEstimator(ABC):
             What the observers made of these forces. An estimator that `uses_innovation` and
             gets none gives its last R again; so it does for single contacts without one.
             The others take no notice of it.
+        measured
+            Whether the forces are of this tick. If not, they repeat the last reading, which says
+            nothing of noise, and the last R is given again. After more such ticks than `window`
+            the estimate begins anew: a force that is another one then is no noise.
 
         Returns
         -------
@@ -103,6 +114,12 @@ class NoiseEstimator(ABC):
 
         """
         require_shape('alpha', alpha, self._alpha.shape)
+        if not measured:
+            self._unmeasured_ticks += 1
+            return self._given.copy()
+        if self._unmeasured_ticks > self.config.window:
+            self._begin_estimate_anew()
+        self._unmeasured_ticks = 0
         # A copy: numba would compile anew for an array of another layout.
         self._alpha[:] = alpha
         if not self._take(innovation):
@@ -113,6 +130,12 @@ class NoiseEstimator(ABC):
             bounded, self._given / self._largest_step, self._given * self._largest_step
         )
         return self._given.copy()
+
+    def _begin_estimate_anew(self) -> None:
+        """Forget all samples, and let R go from its last value to `fixed_variance`."""
+        given = self._given
+        self.reset()
+        self._given = given
 
     @abstractmethod
     def _forget(self) -> None:

@@ -1,4 +1,4 @@
-"""The grid of a law's gains on one seed, the best of them, and how it does on other seeds."""
+"""Tune a law: try each combination of its gains on one seed, judge the best on other seeds."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from multicontact_control.study.config import FactorConfig, StudyConfig
 from multicontact_control.study.study import Results, Study
 import pandas as pd
 
-ON_OTHER_SEEDS = 'on other seeds'  # part
+ON_OTHER_SEEDS = 'on other seeds'  # name of the part in which the best gains are judged
 OTHER_SEEDS = (1, 2, 3)
-# What each figure is divided by before they are added.
+# What each figure is divided by before they are added: about what a tuned law reaches here. The
+# notes of config/studies/tune.yaml have the same numbers, for the page.
 SCALES = {
     'rest_rms_n': 0.05,
     'moving_rms_n': 0.65,
@@ -35,8 +36,8 @@ def cost_of_run(row: Mapping[str, Any]) -> float:
     """
     Return the sum of a run's figures over their scales; infinite if it is not stable.
 
-    A run without one of the figures costs infinitely much, too. Each scale is what the best laws
-    reach, so that no figure outweighs the others (docs/force_laws.md).
+    A run without one of the figures costs infinitely much, too. Each scale is about what a
+    tuned law reaches, so that no figure outweighs the others.
     """
     total = 0.0
     for name, scale in SCALES.items():
@@ -64,7 +65,7 @@ class TuneStudy(Study):
         self.gains = list(ranges[law])
         self.preset = f'laws/{law}'
         if law == 'aob':
-            self.preset = 'best'
+            self.preset = 'best'  # the tuned preset of the active observers
         gains = {}
         for name, values in ranges[law].items():
             gains[name] = FactorConfig(values=values)
@@ -78,7 +79,7 @@ class TuneStudy(Study):
 
     def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
         """
-        Return the table with the cost of each run, by that of the worst plant, least first.
+        Return the table with each run's cost, sorted by the worst cost among runs of equal gains.
 
         So the first row has the best gains. Runs on other seeds come last, where they cannot
         decide.
@@ -87,26 +88,34 @@ class TuneStudy(Study):
         frame = frame.assign(cost=list(map(cost_of_run, rows)))
         costs = frame.groupby(['part', *self.gains])['cost']
         ranked = frame.assign(
-            rank=costs.transform('max'), last=frame['part'] == ON_OTHER_SEEDS
+            worst_cost=costs.transform('max'),
+            on_other_seeds=frame['part'] == ON_OTHER_SEEDS,
         )
-        ordered = ranked.sort_values(['last', 'rank'], kind='stable', ignore_index=True)
-        return ordered.drop(columns=['last', 'rank'])
+        order = ['on_other_seeds', 'worst_cost']
+        ordered = ranked.sort_values(order, kind='stable', ignore_index=True)
+        return ordered.drop(columns=order)
 
     def _find_best_gains(self, frame: pd.DataFrame) -> dict[str, Any] | None:
-        """Return the gains with the least cost, None if no combination is stable."""
+        """
+        Return the gains of the first row, where `complete_table` has put the best.
+
+        They are None if one of their runs in the grid costs infinitely much; what they do on other
+        seeds does not count.
+        """
+        grid = frame[frame['part'] != ON_OTHER_SEEDS]
         best: dict[str, Any]
-        (best,) = frame[self.gains].head(1).to_dict('records')
-        runs = frame[(frame[self.gains] == pd.Series(best)).all(axis=1)]
+        (best,) = grid[self.gains].head(1).to_dict('records')
+        runs = grid[(grid[self.gains] == pd.Series(best)).all(axis=1)]
         if (runs['cost'] < math.inf).all():
             return best
         return None
 
     def plan_further_cells(self, results: Results) -> list[Cell]:
         """
-        Return the runs of the best combination on other seeds, none if it is not stable.
+        Return the runs of the best combination on `OTHER_SEEDS`, none if it is not stable.
 
         A gain that is best for one realisation of the noise alone shows there. They run on every
-        plant, with seeds 1, 2 and 3.
+        plant.
         """
         best = self._find_best_gains(results.frame)
         cells = []
@@ -150,6 +159,24 @@ class TuneStudy(Study):
                 f'All combinations of {law} are unstable in the task, or lack a figure.'
             )
         else:
-            gains = [f'{name} = {value:g}' for name, value in best.items()]
-            finding = f'{law}.yaml holds the best: {", ".join(gains)}.'
-        return [finding, *super().describe_findings(results)]
+            gains = ', '.join(_write_gain(name, value) for name, value in best.items())
+            finding = f'{law}.yaml holds the best: {gains}.'
+        findings = [finding, *super().describe_findings(results)]
+        refuted = self._list_refuting_seeds(results.frame)
+        if refuted:
+            seeds = ', '.join(map(str, refuted))
+            findings.insert(1, f'They are unstable, or lack a figure, on seed {seeds}.')
+        return findings
+
+    def _list_refuting_seeds(self, frame: pd.DataFrame) -> list[int]:
+        """Return the other seeds on which a run of the best gains costs infinitely much."""
+        elsewhere = frame[frame['part'] == ON_OTHER_SEEDS]
+        refuting = elsewhere[elsewhere['cost'] == math.inf]
+        return sorted(refuting['seed'].unique().tolist())
+
+
+def _write_gain(name: str, value: float | str) -> str:
+    """Return a gain as `name = value`; a value may be the name of a choice."""
+    if isinstance(value, str):
+        return f'{name} = {value}'
+    return f'{name} = {value:g}'

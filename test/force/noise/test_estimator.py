@@ -80,6 +80,36 @@ def test_estimators_keep_within_floor_and_ceiling(name, sizes, seed):
         assert estimator.bounded.min() > 0
 
 
+@pytest.mark.parametrize('name', NAMES)
+def test_estimators_repeat_r_while_forces_only_repeat_the_last_reading(name):
+    estimator = estimator_of(name, contacts=2)
+    untouched = estimator_of(name, contacts=2)
+    rng = np.random.default_rng(9)
+    for _ in range(120):
+        sample = make_sample(rng)
+        R = estimator.update(*sample)
+        assert_array_equal(R, untouched.update(*sample))
+    for _ in range(estimator.config.window):
+        assert_array_equal(estimator.update(*sample, measured=False), R)
+    sample = make_sample(rng)
+    assert_array_equal(estimator.update(*sample), untouched.update(*sample))
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_estimators_do_not_take_another_force_after_an_outage_for_noise(name):
+    estimator = estimator_of(name, contacts=2)
+    rng = np.random.default_rng(9)
+    for _ in range(120):
+        alpha, innovation = make_sample(rng)
+        estimator.update(10.0 + alpha, innovation)
+    for _ in range(estimator.config.window + 1):
+        estimator.update(10.0 + alpha, innovation, measured=False)
+    anew = estimator_of(name, contacts=2)
+    for _ in range(120):
+        sample = make_sample(rng)
+        assert_array_equal(estimator.update(*sample), anew.update(*sample))
+
+
 def estimate_variances(estimator, samples):
     return [estimator.update(*sample) for sample in samples]
 
