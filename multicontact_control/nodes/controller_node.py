@@ -149,7 +149,7 @@ class ControllerNode(ManagedNode):
             config.rate,
             supervised=node_config.supervised,
             lockstep=node_config.lockstep,
-            feels=config.wrench_input != 'momentum',
+            has_wrench=config.wrench_input != 'momentum',
             patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance,
         )

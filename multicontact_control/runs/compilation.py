@@ -184,9 +184,11 @@ def _call_remaining_kernels() -> None:
         ('rigid', 0.0, False),
         ('rigid', 0.25, False),
     ):
-        setup = resolve(
-            'quick', plant=plant, plant_overrides={'joint_friction_scale': friction}
-        )
+        overrides = {
+            'joint_friction_scale': friction,
+            'actuation': {'torque_loop': True},
+        }
+        setup = resolve('quick', plant=plant, plant_overrides=overrides)
         duration = TICKS * setup.controller.period  # shorter than any that is accepted
         scenario = setup.scenario.model_copy(update={'duration': duration})
         run_in_process(replace(setup, scenario=scenario), supervised=supervised)
