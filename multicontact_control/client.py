@@ -10,7 +10,10 @@ from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import project_on_contacts
-from multicontact_control.control.tasks import shortest_motion_duration
+from multicontact_control.control.trajectory import (
+    check_position,
+    shortest_motion_duration,
+)
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
@@ -20,7 +23,6 @@ from multicontact_control.nodes.link import (
     DEACTIVATE,
 )
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
-from multicontact_control.supervision.command_limits import check_position
 from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 from multicontact_control.supervision.reactions import INFLATE, LATCHED, NONE
 import numpy as np

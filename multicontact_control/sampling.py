@@ -25,7 +25,7 @@ LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that wa
 class Action(Enum):
     """What the control loop does now; `SampleTiming` says when."""
 
-    WAIT = 'nothing'
+    WAIT = 'wait: there is nothing to do yet'
     STEP = 'step by a whole sample'
     STEP_ANEW = 'forget the past, then step by a whole sample'
     STEP_BY_HALF = 'step by half a sample'
@@ -42,9 +42,21 @@ class Decision(NamedTuple):
     inputs: TickInputs | None = None
 
 
+class Sample(NamedTuple):
+    """A sample that waits for its tick; a half that has not come is None."""
+
+    stamp: int  # ns
+    joints: JointInput | None
+    wrench: WrenchInput | None
+
+
 class SampleTiming:
     """
     Pairs the readings of one time, and decides what each message, or its absence, leads to.
+
+    If `supervised`, a supervisor is around the law and answers what is missing; bare, the law is
+    alone and waits for whole samples. In lockstep each step waits for the noise variance R of the
+    sample before, so that a simulation gives the same numbers again.
 
     ================================== =================== ============= ==================
     What has come                      supervised          bare          lockstep
@@ -52,13 +64,13 @@ class SampleTiming:
     one half of a sample               WAIT                WAIT          WAIT
     both, within `pair_tolerance`      STEP                STEP          STEP with R [1]_
     the same stamp again, answered     REPEAT_TORQUE       REPEAT_TORQUE REPEAT_TORQUE
-    the same stamp again, waiting      WAIT                WAIT          PUBLISH_AGAIN
+    the same stamp again, waiting      -                   -             PUBLISH_AGAIN
     one sample older than the last     REFUSE              STEP_ANEW     STEP_ANEW
-    a second, not older than the first STEP [2]_           STEP_ANEW     STEP_ANEW
+    a second, not older than the first STEP [2]_           as above [3]_ as above [3]_
     no sample for `patience`           STEP_BY_HALF if     WAIT          WAIT
                                        one half waits
     none one period later, or later    STEP_WITHOUT_SAMPLE WAIT          WAIT
-                                       [3]_
+                                       [4]_
     ================================== =================== ============= ==================
 
     Nothing is missing before the first sample. The time of a tick is its stamp less the first;
@@ -67,14 +79,17 @@ class SampleTiming:
     A robot that waits for the answer to its sample, and publishes the sample again until it has
     that, gets it: every answer has the stamp of the newest sample, also after steps without one.
 
-    .. [1] Of the sample before, not in the safe behaviour; WAIT until it is there.
+    .. [1] Of the sample before; WAIT until it is there. The supervisor's safe behaviour does not
+       wait for it.
     .. [2] The clock was set back; the watchdog answers that.
-    .. [3] Once for each period, in which time is counted on. It does not go back when samples
-       come again: their stamps are shifted from then on, and `TickInputs.ahead` says by how much.
+    .. [3] The first has become the last sample: STEP, or REPEAT_TORQUE for the same stamp.
+    .. [4] The first one counts on all periods since the newest sample, each later one those since
+       the one before. Time does not go back when samples come again: their stamps are shifted from
+       then on, and `TickInputs.ahead` says by how much.
 
     Parameters
     ----------
-    rate, supervised, lockstep, feels
+    rate, supervised, lockstep, has_wrench
         1 / h [Hz]; whether a supervisor is around the law, R is waited for, and there is a wrist
         sensor, without which joint states alone are whole samples.
     patience, pair_tolerance
@@ -83,9 +98,12 @@ class SampleTiming:
 
     Attributes
     ----------
-    last_stamp, answered_stamp, tick
-        Of the newest sample, and of what is answered now: a sample, or one that should have come
-        by now [ns], -1 for none; the number of the newest, from 0.
+    last_stamp
+        Stamp of the newest sample [ns], -1 before the first.
+    answered_stamp
+        Stamp that the next command carries [ns]: `last_stamp`, plus the periods counted on since.
+    tick
+        `last_stamp` less the first stamp, in periods; negative after a clock was set back.
     variance, silence_deadline
         The newest R, shape (r,) [N^2], or None; the monotonic time from which on
         `decide_on_silence` has something to decide [ns], 0 for never.
@@ -101,7 +119,7 @@ class SampleTiming:
         *,
         supervised: bool = True,
         lockstep: bool = False,
-        feels: bool = True,
+        has_wrench: bool = True,
         patience: float = 0.0,
         pair_tolerance: float = 0.0,
     ) -> None:
@@ -110,13 +128,13 @@ class SampleTiming:
         self._period_ns = self._period * NANOSECONDS
         self._supervised = supervised
         self._lockstep = lockstep
-        self._feels = feels
+        self._has_wrench = has_wrench
         self._patience_ns = 0.0
         if supervised and not lockstep:
             self._patience_ns = patience * self._period_ns
         self.tolerance = round(pair_tolerance * self._period_ns)
         self._halves: dict[type, Any] = {}  # the newest readings that have no pair
-        self._waiting: tuple[int, JointInput | None, WrenchInput | None] | None = None
+        self._waiting: Sample | None = None
         self._came_again = False
         self.unpaired = 0
         self.stamp_difference = 0
@@ -131,6 +149,7 @@ class SampleTiming:
         if not self._lockstep:
             self._waiting = None  # it may be old
         self._first_stamp: int | None = None
+        # Of the newest refused sample; one not older than it proves a clock set back.
         self._older_stamp: int | None = None
         self.last_stamp = -1
         self.answered_stamp = -1
@@ -163,19 +182,19 @@ class SampleTiming:
             self.stamp_difference = wrench.stamp - joints.stamp
         if abs(self.stamp_difference) <= self.tolerance:
             waiting = self._waiting
-            self._came_again = waiting is not None and waiting[0] == joints.stamp
-            self._waiting = joints.stamp, joints, wrench
+            self._came_again = waiting is not None and waiting.stamp == joints.stamp
+            self._waiting = Sample(joints.stamp, joints, wrench)
             self._halves = {}
             self.stamp_difference = 0
 
     def _is_whole(self, joints: Any, wrench: Any) -> bool:
         """Return whether readings, each None where it is missing, are a whole sample."""
-        return joints is not None and (wrench is not None or not self._feels)
+        return joints is not None and (wrench is not None or not self._has_wrench)
 
     def add_noise_variance(self, stamp: int, variance: Vector) -> None:
         """Use an R [N^2] from the next tick on; its stamp is that of a sample [ns]."""
-        if stamp > self.last_stamp:  # left over from before a restart
-            return
+        if stamp > self.last_stamp:
+            return  # no sample so new has been answered: this R is from before a restart
         self._variance_stamp = stamp
         self.variance = variance
         time = self._seconds_since_first(stamp) + self._shift
@@ -203,6 +222,7 @@ class SampleTiming:
         action = Action.STEP
         if stamp < self.last_stamp:
             if self._lockstep or not self._supervised:
+                # A simulation has begun again, or no watchdog answers a clock that was set back.
                 self.restart()
                 action = Action.STEP_ANEW
             elif self._older_stamp is None or stamp < self._older_stamp:
@@ -274,18 +294,20 @@ class SampleTiming:
             return self._step_by_half(newest, now)
         silence = now - self._last_arrival
         periods_late = int((silence - self._patience_ns) // self._period_ns)
-        passed = 0  # periods since the newest sample that a tick answers
+        periods_passed = 0  # since the newest sample
         if periods_late:  # what is only late is waited for one more period
-            passed = int(silence // self._period_ns)
-        ticks = passed - self._ticks_without_sample
-        self._ticks_without_sample = passed
+            periods_passed = int(silence // self._period_ns)
+        new_periods = periods_passed - self._ticks_without_sample
+        self._ticks_without_sample = periods_passed
         deadline = self._last_arrival + self._patience_ns
         deadline += (periods_late + 1) * self._period_ns
         self.silence_deadline = int(deadline)
-        if not ticks:
+        if not new_periods:
             return Decision(Action.WAIT)
-        self.answered_stamp = self.last_stamp + round(passed * self._period * 1e9)
-        counted_on = ticks * self._period
+        self.answered_stamp = self.last_stamp + round(
+            periods_passed * self._period * NANOSECONDS
+        )
+        counted_on = new_periods * self._period
         self._time += counted_on
         self._inputs = self._inputs._replace(
             time=self._time, ahead=self._inputs.ahead + counted_on
@@ -298,9 +320,12 @@ class SampleTiming:
         del self._halves[kind]
         self.unpaired += 1
         if kind is JointInput:
-            self._waiting = reading.stamp, reading, None
+            self._waiting = Sample(reading.stamp, reading, None)
         else:
-            self._waiting = reading.stamp, None, reading
+            self._waiting = Sample(reading.stamp, None, reading)
         earliest = self._last_arrival + self._period_ns
-        since = max(earliest, now - self._period_ns)
-        return Decision(Action.STEP_BY_HALF, self.decide_on_message(since).inputs)
+        # Taken to have come on the grid of the samples, a period after the last, so that the next
+        # deadline does not slip; after a longer silence, a period ago.
+        nominal_arrival = max(earliest, now - self._period_ns)
+        decision = self.decide_on_message(nominal_arrival)
+        return Decision(Action.STEP_BY_HALF, decision.inputs)

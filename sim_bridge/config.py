@@ -13,6 +13,7 @@ from multicontact_control.errors import ConfigError, format_count
 LARGEST_PUSH = 150.0  # N; ISO/TS 15066 lets an arm press a hand or a chest with 140 N
 PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
 MAX_ACTUATOR_DELAY = 5
+MAX_DELAY_SUBSTEPS = 20
 
 
 def _count_errors(
@@ -134,6 +135,73 @@ class SensorConfig(Config):
             yield from _count_errors('sensor.mounting', self.mounting, 9)
 
 
+class ActuationConfig(Config):
+    """
+    Errors of the drives, between the torque that is commanded and the one that acts.
+
+    By default there are none. A drive makes a u + b + noise of the motor torque u, a delay later,
+    and friction takes off F tanh(c v) + d v at the joint speed v. The motor torque is the
+    commanded one, or with a torque loop corrects it. `torque_limit` bounds what acts. The efforts
+    in joint_states are the torques that acted, on average over the control period.
+    """
+
+    seed: int = parameter(
+        0,
+        'Seed of a for all joints, then of b, drawn as after `numpy.random.seed`; the noise '
+        'follows the seed of the run.',
+        ge=0,
+        le=10**9,
+    )
+    scale_range: tuple[float, float] = parameter(
+        (1.0, 1.0), 'Lower and upper bound of a, drawn once for each joint.'
+    )
+    bias_range: tuple[float, float] = parameter(
+        (0.0, 0.0), 'Lower and upper bound of b, drawn once for each joint.', unit='N m'
+    )
+    noise_std: NonNegativeVector = parameter(
+        (),
+        'Standard deviation of the white noise in each substep, per joint or one for all; '
+        'empty for none.',
+        unit='N m',
+    )
+    delay_substeps: int = parameter(
+        0,
+        'Substeps from a motor torque to its action, beside actuator_delay_ticks.',
+        ge=0,
+        le=MAX_DELAY_SUBSTEPS,
+    )
+    coulomb_friction: NonNegativeVector = parameter(
+        (),
+        'F, per joint or one for all; empty for none. The friction of joint_friction_scale '
+        'is another one.',
+        unit='N m',
+    )
+    friction_speed_gain: float = parameter(
+        10.0, 'c, how steeply the Coulomb friction rises.', unit='s/rad', gt=0.0
+    )
+    viscous_friction: NonNegativeVector = parameter(
+        (), 'd, per joint or one for all; empty for none.', unit='N m s/rad'
+    )
+    torque_loop: bool = parameter(
+        False,
+        'Whether the drives correct u by the error e of their torque, measured before '
+        'friction: u = commanded - k_p e - k_i sum(e) - k_d de/dt.',
+    )
+    torque_loop_rate: float = parameter(
+        1000.0,
+        'Rate of the torque loop, whose period is a whole number of substeps.',
+        unit='Hz',
+        gt=0.0,
+    )
+    torque_loop_proportional: float = parameter(
+        0.7, 'k_p; with k_p a above 1 the loop swings up.', ge=0.0
+    )
+    torque_loop_integral: float = parameter(
+        0.01, 'k_i, for each step of the loop; 0.01 at 1 kHz are 10 1/s.', ge=0.0
+    )
+    torque_loop_derivative: float = parameter(1e-5, 'k_d.', unit='s', ge=0.0)
+
+
 class PlantConfig(Config):
     """
     The simulated arm, its drives, its sensor and what it touches.
@@ -183,6 +251,7 @@ class PlantConfig(Config):
         unit='rad/s',
         gt=0.0,
     )
+    actuation: ActuationConfig = ActuationConfig()
     torque_limit: PositiveVector = parameter(
         (), "Largest joint torque; empty for the robot's own.", unit='N m'
     )
@@ -217,11 +286,20 @@ class PlantConfig(Config):
             needed = self.drives == 'flexible' and field != 'torque_limit'
             if values or needed:
                 yield from _count_errors(field, values, joints)
+        yield from self._actuation_errors()
         pushes = len(self.push_start)
         yield from _count_errors('push_duration', self.push_duration, pushes)
         yield from _count_errors('push_force_world', self.push_force_world, 3 * pushes)
         if self.contact == 'native':
             yield from self._native_errors()
+
+    def _actuation_errors(self) -> Iterator[ConfigError]:
+        joints = len(self.home)
+        for name in ('noise_std', 'coulomb_friction', 'viscous_friction'):
+            count = len(getattr(self.actuation, name))
+            if count not in (0, 1, joints):
+                expected = f'{joints} values, one per joint, or one for all'
+                yield ConfigError(f'actuation.{name}', expected, count)
 
     def _name_errors(self) -> Iterator[ConfigError]:
         for field, names, known in (
@@ -335,18 +413,18 @@ class PlantConfig(Config):
         """Names of the forces and couples of the contacts, in the order of every vector."""
         return tuple(self.columns)
 
-    def substeps(self, rate: float) -> int:
+    def substeps(self, rate: float, period: str = 'control period') -> int:
         """
-        Return the number of integration steps in a control period.
+        Return the number of integration steps in a control period, or in another one.
 
-        Of a control rate [Hz]; ConfigError if it is not whole.
+        Of a rate [Hz]; ConfigError with the name of the period if the number is not whole.
         """
         ratio = 1.0 / (rate * self.substep)
         count = round(ratio)
         if count < 1 or abs(ratio - count) > 1e-6 * count:
             raise ConfigError(
                 'substep',
-                f'a whole fraction of the control period {1.0 / rate:g} s',
+                f'a whole fraction of the {period} {1.0 / rate:g} s',
                 f'{self.substep:g} s',
             )
         return count

@@ -13,8 +13,9 @@ from multicontact_control.records import Records
 from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
 import pinocchio as pin
+from sim_bridge.actuation import ActuationErrors
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
-from sim_bridge.config import PlantConfig
+from sim_bridge.config import ActuationConfig, PlantConfig
 from sim_bridge.contacts import (
     act_on_arm,
     Contacts,
@@ -38,7 +39,7 @@ class Sample(NamedTuple):
 
     q: Vector  # joint angles as the encoders see them, shape (n,) [rad]
     qd: Vector  # joint speeds, likewise, shape (n,) [rad/s]
-    effort: Vector  # torque applied over the period, shape (n,) [N m]
+    effort: Vector  # torque that acted, its mean over the period, shape (n,) [N m]
     wrench: Vector  # the arm's on the tool, as the sensor reads it, its frame, shape (6,) [N, N m]
     wrench_filtered: Vector  # the same behind the sensor's low-passes
     # True forces of robot on surface over the last substep, the one the sensor's reading belongs
@@ -59,7 +60,7 @@ class Plant:
     rate
         Samples per second [Hz].
     seed
-        Of roughness and sensor noise.
+        Of roughness, sensor noise and torque noise.
 
     Attributes
     ----------
@@ -111,6 +112,9 @@ class Plant:
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
         self._drives: Records[Drive] = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
+        self._actuation: ActuationErrors | None = None
+        if config.actuation != ActuationConfig():
+            self._actuation = ActuationErrors(config)
         self._q, self._qd = self.arm.motion
         self._make_drives()
         self.reset()
@@ -143,8 +147,9 @@ class Plant:
         The same seed and torques give the same samples again, bit for bit.
         """
         config = self.config
-        seeds = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
-        sensor_noise, *roughness = [np.random.default_rng(seed) for seed in seeds]
+        seeds = np.random.SeedSequence(self._seed).spawn(2 + len(config.met))
+        generators = [np.random.default_rng(seed) for seed in seeds]
+        sensor_noise, *roughness, torque_noise = generators
         self._sensor = WrenchSensor(config.sensor, config.substep, sensor_noise)
         self.contacts = Contacts(config, self.description, self.model, roughness)
         self._hands['force'] = 0.0
@@ -180,6 +185,8 @@ class Plant:
             self._drives['qd'] = 0.0
         self._sensor.read_wrenches(self._static_wrench()[np.newaxis])
         self._motor[:] = self.initial_torque
+        if self._actuation is not None:
+            self._actuation.reset(self.initial_torque, torque_noise)
         return self._take_sample()
 
     def step(self, torque: Vector) -> Sample:
@@ -201,6 +208,8 @@ class Plant:
         """
         require_shape('torque', torque, self._limit.shape)
         self._motor[:] = torque
+        if self._actuation is not None:
+            self._actuation.begin_period(torque)
         if self._carried != self.payload:
             most = PICK_UP_RATE / self._rate
             bounded = max(self.payload, self._carried - most)
@@ -255,14 +264,19 @@ class Plant:
     def _integrate_period(self) -> list[float]:
         """Take the integration steps of a period; return the true wrenches, one after another."""
         arm = self.arm
+        actuation = self._actuation
         wrenches: list[float] = []
         for _ in range(self._substeps):
+            if actuation is not None:
+                actuation.find_acting_torque(arm.qd, self._drives, self._motor)
             push_count = self._act_on_arm()
             if push_count < 0:
                 raise RunError(
                     f'joint torque at tick {self._tick}: expected finite numbers, '
                     f'got {self._motor.tolist()}'
                 )
+            if actuation is not None:
+                actuation.torque_sum += self._motor
             if self._rigid is not None:
                 self._rigid.find_link_torque(
                     self._motor, self._sum, arm.q, arm.qd, self._link_side
@@ -272,6 +286,8 @@ class Plant:
             wrenches += arm.step(self._link_side)
             if arm.native_forces is not None:
                 self.contacts.pressed[:] = arm.native_forces
+        if actuation is not None:
+            self._motor[:] = actuation.torque_sum / self._substeps
         return wrenches
 
     def _static_wrench(self) -> Vector:

@@ -57,7 +57,7 @@ BUDGETS = {
     'dynamics': 6_600,
     'contact': 4_600,
     'force': 16_000,
-    'control': 9_100,
+    'control': 14_600,
     LOOP: 3_500,
     'supervision': 28_600,
     'diagnosis': 3_400,
@@ -69,14 +69,14 @@ BUDGETS = {
     'commissioning': 6_900,
     'faults': 12_200,
     'study': 17_300,
-    'view': 20_560,
+    'view': 20_580,
     'cli': 6_200,
     'sim_bridge': 30_400,
     'test': 165_800,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
-MOST_COMPILED = 146  # functions
+MOST_COMPILED = 153  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 11.6, 27

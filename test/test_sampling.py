@@ -183,6 +183,16 @@ def test_older_sample_starts_anew_without_supervisor_and_in_lockstep(options):
     assert timing.tick == 0
 
 
+@pytest.mark.parametrize('options', [{'supervised': False}, {'lockstep': True}])
+def test_samples_after_one_that_started_anew_follow_it(options):
+    timing = timing_of(**options)
+    sample(timing, 100 * PERIOD)
+    sample(timing, PERIOD)
+    assert sample(timing, PERIOD).action is REPEAT
+    timing.add_noise_variance(PERIOD, np.ones(2))
+    assert sample(timing, 2 * PERIOD).action is STEP
+
+
 def test_older_sample_is_refused_by_a_supervisor_until_two_come_in_order():
     """It takes these for a clock that was set back."""
     timing = timing_of()
@@ -212,7 +222,7 @@ def test_lockstep_waits_for_the_variance_of_the_sample_before_but_not_in_the_saf
 
 
 def test_bare_time_goes_in_whole_periods_and_joints_alone_are_a_sample_without_a_sensor():
-    timing = timing_of(supervised=False, feels=False)
+    timing = timing_of(supervised=False, has_wrench=False)
     for k in range(4):
         late = 1000 * (k % 2)
         timing.add_reading(joints(k * PERIOD + late))

@@ -12,10 +12,10 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import (
     Config,
     ControllerConfig,
-    LimitsConfig,
     parameter,
     UnitVector3,
 )
+from multicontact_control.control.trajectory import LARGEST_SINE
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -23,11 +23,6 @@ import numpy as np
 ZERO_TWIST = np.zeros(6)  # twist and acceleration
 ZERO_TWIST.flags.writeable = False
 STAMP_TOLERANCE = 1e-9  # s
-# Largest sine of the angle of a scenario's motion to a surface that is pressed: some are tilted.
-LARGEST_SINE = 0.5
-# Peaks of b' and b'' of a quintic over a duration of 1.
-QUINTIC_SPEED = 15.0 / 8.0
-QUINTIC_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 
 class WantedTask(NamedTuple):
@@ -135,27 +130,6 @@ class ReferenceConfig(Config):
         times = [step.time for step in self.force_steps]
         if times != sorted(times):
             yield ConfigError('reference.force_steps', 'times in rising order', times)
-
-
-def shortest_motion_duration(change: Vector, limits: LimitsConfig) -> float:
-    """Return the least time of a `quintic_blend` within limits [s] over a way, (6,) [m, rad]."""
-    distance = float(np.linalg.norm(change[:3]))
-    angle = float(np.linalg.norm(change[3:]))
-    return max(
-        _shortest_duration(
-            distance, limits.operational_speed, limits.operational_acceleration
-        ),
-        _shortest_duration(
-            angle, limits.operational_turn, limits.operational_turn_acceleration
-        ),
-    )
-
-
-def _shortest_duration(way: float, speed: float, acceleration: float) -> float:
-    """Return the least time of a `quintic_blend` over a way [s] with bounded derivatives."""
-    by_speed = QUINTIC_SPEED * way / speed
-    by_acceleration = math.sqrt(QUINTIC_ACCELERATION * way / acceleration)
-    return max(by_speed, by_acceleration)
 
 
 def evaluate_sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:

@@ -13,10 +13,10 @@ from multicontact_control.config import (
 )
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.tasks import MotionReading
+from multicontact_control.control.trajectory import AXES, check_position
 from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 
-AXES = 'position x', 'position y', 'position z'
 # Share of a speed beyond its limit, of a motion that is as fast as it may be.
 SPEED_ROUNDING = 1e-6
 # m or rad beyond a limit, from where control may start all the same.
@@ -157,15 +157,6 @@ def check_twist(
                 f'at most {largest:g} {unit} (limits.{parameter_name})',
                 f'{size:.3g} {unit}',
             )
-
-
-def check_position(position_world: Vector, limits: LimitsConfig) -> None:
-    """Refuse a position outside the workspace box, if any: CommandError names the axis."""
-    for name, x, lower, upper in zip(
-        AXES, position_world, limits.workspace_lower, limits.workspace_upper
-    ):
-        if not lower <= x <= upper:
-            raise CommandError(name, f'{lower:g} to {upper:g} m', f'{x:g} m')
 
 
 def outside_limits(

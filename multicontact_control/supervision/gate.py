@@ -33,6 +33,7 @@ from multicontact_control.records import (
 from multicontact_control.supervision.bounds import bound_motion, BoundSpace
 import numpy as np
 
+# What a status calls the limits: those of the gate, and that of the task's reference.
 LIMIT_NAMES = {
     REFERENCE_LIMITED: 'reference',
     TORQUE_REPLACED: 'not_finite',
@@ -42,8 +43,11 @@ LIMIT_NAMES = {
     SINGULARITY_BOUNDED: 'reach',
 }
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
-STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
-# s, time constant by which a change of active contacts or laws is blended.
+STEEPEST = (
+    1.875  # 15/8, largest slope of the quintic from 0 to 1, which is in the middle
+)
+# s, time constant with which the difference fades where active contacts or the law change by
+# themselves: short, since what has happened is to be answered soon.
 LAW_BLEND_TIME = 0.003
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
@@ -54,7 +58,7 @@ class GateConfig(Record, Protocol):
     guarded: bool  # whether motion and rates are limited
 
     period: float  # h [s]
-    keep: float  # share of a difference that remains a period later
+    kept_share: float  # of a fading difference, that remains a period later
 
     # Of a commanded change: see `TransitionConfig`.
     blend_time: float
@@ -67,16 +71,14 @@ class GateState(Record, Protocol):
     config: GateConfig
     seen: bool  # whether the joints are known now, so that their motion is limited
 
-    # Whether a torque acts; whether the joints' ranges are set.
-    begun: bool
-    ranged: bool
+    begun: bool  # whether a torque acts
+    ranged: bool  # whether `lower` and `upper` of the joints are set
 
     law: int  # what has answered last; see `number_of_law`
     pending: bool  # whether the next torque is to be the one that acts
 
-    # Whether `lacking` or `difference` of the joints count.
-    blending: bool
-    fading: bool
+    blending: bool  # whether `blended_difference` of the joints is still added
+    fading: bool  # whether `faded_difference` is
 
     # Of the blend [periods].
     elapsed: float
@@ -90,7 +92,11 @@ GATE_STATE = record_dtype(GateState)
 
 @compiled
 def number_of_law(contacts: Records[Contact], guarded: bool) -> int:
-    """Return the number of the control law with these active contacts; 0 without guards."""
+    """
+    Return the number of the control law with these active contacts; 0 without guards.
+
+    It is 1 with a bit for each active contact, so that other contacts make another number.
+    """
     if not guarded:
         return 0
     number = 1
@@ -107,8 +113,9 @@ def blend_torque(
     """
     Add to a torque, shape (n,), what is left of the differences from the ones before.
 
-    What is commanded starts from the torque that acts, and lacks less and less of itself. What
-    changes by itself, to another `law`, starts from there as well, and fades fast.
+    After `start_blend` the output starts at the torque that acts; its difference from the new one
+    fades by the quintic. When `law` changes by itself, the difference fades with
+    `LAW_BLEND_TIME`.
     """
     n = joints.shape[0]
     for j in range(n):
@@ -143,7 +150,7 @@ def blend_torque(
         largest = 0.0
         for j in range(n):
             joint = joints[j].gate
-            joint.faded_difference *= gate.config.keep
+            joint.faded_difference *= gate.config.kept_share
             largest = max(largest, abs(joint.faded_difference))
         gate.fading = largest >= FADED
     gate.law = law
@@ -167,8 +174,8 @@ def pass_gate(
     Parameters
     ----------
     gate, joints, control, contacts
-        A record of `GATE`, records of `JOINT`, shape (n,), whose `gate.last` becomes what is
-        commanded, a record of `CONTROL`, and records of `CONTACT`, shape (r,).
+        A record of `GATE_STATE`, records of `JOINT`, shape (n,), whose `gate.commanded_torque`
+        becomes what is commanded, a record of `CONTROL`, and records of `CONTACT`, shape (r,).
     terms
         Of the arm's model: M and J are read.
     law
@@ -206,8 +213,11 @@ def pass_gate(
         enforced |= bound_motion(joints, control, contacts, terms, law >= 0, gate.space)
     for j in range(n):
         joint = joints[j]
-        added, last = joint.drive_gravity_torque, joint.gate.commanded_torque
-        limit, step = joint.config.torque_limit, joint.config.torque_step
+        # The limit holds for the command; the torque here includes what the drives add.
+        added = joint.drive_gravity_torque
+        last = joint.gate.commanded_torque
+        limit = joint.config.torque_limit
+        step = joint.config.torque_step
         clipped = min(max(torque[j], added - limit), added + limit)
         if clipped != torque[j]:
             enforced |= TORQUE_LIMITED
@@ -242,7 +252,7 @@ class TorqueGate:
     Attributes
     ----------
     records
-        One record of `GATE`.
+        One record of `GATE_STATE`.
     last
         The torque that acts, with what the drives add, shape (n,) [N m].
 
@@ -259,7 +269,7 @@ class TorqueGate:
         settings = self.records['config']
         settings['guarded'] = guarded
         settings['period'] = config.period
-        settings['keep'] = math.exp(-config.period / LAW_BLEND_TIME)
+        settings['kept_share'] = math.exp(-config.period / LAW_BLEND_TIME)
         joints: Records[JointConfig] = self._joints['config']
         joints['torque_step'] = np.inf
         if guarded and config.limits.torque_rate:
@@ -268,12 +278,12 @@ class TorqueGate:
         self.last: Vector = self._joints['gate']['commanded_torque']
         self.apply_config(config.transition)
         self.reset()
-        rest = np.zeros(len(self._joints))
-        self.apply_torque(-1, rest)  # no tick is to wait for numba
+        # Compile the kernel now, so that no tick waits for it, and forget what that torque leaves.
+        self.apply_torque(-1, np.zeros(len(self._joints)))
         self.reset()
 
     def apply_config(self, transition: TransitionConfig) -> None:
-        """Set how fast a commanded change is gone over to."""
+        """Set how fast the difference fades after a commanded change."""
         self._gate['config']['blend_time'] = transition.blend_time
         self._gate['config']['blend_rate'] = transition.torque_rate
 
@@ -302,7 +312,11 @@ class TorqueGate:
         self._gate['blending'] = self._gate['fading'] = False
 
     def cancel_blend(self) -> None:
-        """Leave what has still to fade slowly to the fast way."""
+        """
+        Let the rest of a commanded change fade fast.
+
+        No answer of a guarded law has the number 0, so the next one counts as another law.
+        """
         if self._gate['pending'] or self._gate['blending']:
             for name in ('pending', 'blending', 'fading', 'law'):
                 self._gate[name] = 0
@@ -316,7 +330,8 @@ class TorqueGate:
         """
         Let a torque, shape (n,) [N m], through to `last`; return the `LIMITS` enforced.
 
-        A `law` has another number than others, see `pass_gate`; `seen`: the joints are known now.
+        `law` is that of `number_of_law`, or a negative number for a reaction; `seen` says whether
+        the joints are known now.
         """
         self._joints['answer']['torque'] = torque
         self._gate['seen'] = seen

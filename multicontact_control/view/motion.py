@@ -13,7 +13,8 @@ from multicontact_control.control.tasks import (
     MotionReading,
     SineConfig,
 )
-from multicontact_control.supervision.command_limits import check_position, check_twist
+from multicontact_control.control.trajectory import check_position
+from multicontact_control.supervision.command_limits import check_twist
 import numpy as np
 
 USUAL_SPEED = (

@@ -39,12 +39,14 @@ CHECKED = (
     topics.TRUE_FORCES,
 )
 REMEMBERED = 30_000  # messages per topic: a minute at 500 Hz
-AMPLITUDE, MOTION_PERIOD = 0.03, 3.0  # m, s of the motion along x
-QUIET, FAULT_TIME = (0.0, 0.3), (0.1, 0.4)  # s before a fault, and of one
-HALT_TIME, OUTAGE = (0.02, 0.2), (0.0, 0.5)  # s, of a process
-SILENCE = (
-    0.1  # s without a command while samples come, from which on it counts as silence
-)
+AMPLITUDE = 0.03  # m, of the motion along x
+MOTION_PERIOD = 3.0  # s
+QUIET = (0.0, 0.3)  # s before a fault
+FAULT_TIME = (0.1, 0.4)  # s of a fault
+HALT_TIME = (0.02, 0.2)  # s of a process that is halted
+OUTAGE = (0.0, 0.5)  # s without a process
+# s without a command while samples come, from which on it counts as silence
+SILENCE = 0.1
 STOPPED = 0.3  # s of silence that no controller may take
 POLL_PERIOD = 0.005  # s
 SETTLE_TIME = 0.2  # s over which forces are averaged
@@ -60,6 +62,12 @@ PATIENT = {
     'watchdog.variance_max_age': 25.0,
     'watchdog.rate_band': 25.0,
 }
+
+
+def as_rows(heard, names):
+    """Return efforts that were heard as an array, shape (messages, names)."""
+    rows = [[efforts[name] for name in names] for _, efforts in heard]
+    return np.array(rows).reshape(-1, len(names))
 
 
 class Graph(link.ServiceClientNode):
@@ -87,12 +95,11 @@ class Graph(link.ServiceClientNode):
         )
         self.processes = NodeProcesses(graph, domain_id)
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
-        self._subscriptions = {
-            topic: self.node.create_subscription(
+        self._subscriptions = {}
+        for topic in (*CHECKED, topics.POSE_DESIRED):
+            self._subscriptions[topic] = self.node.create_subscription(
                 topic.message, topic.name, ignore_message, qos.STREAM
             )
-            for topic in (*CHECKED, topics.POSE_DESIRED)
-        }
         # When messages were sent [s], and their efforts by name; all until `polled` [s].
         self.heard = {topic: deque(maxlen=REMEMBERED) for topic in CHECKED}
         self.polled = math.inf
@@ -101,13 +108,14 @@ class Graph(link.ServiceClientNode):
         self.moves = False
         self._force_command = create_publisher(self.node, topics.FORCE_COMMAND)
         self._motion_command = create_publisher(self.node, topics.MOTION_COMMAND)
+        environment = {
+            **os.environ,
+            'ROS_DOMAIN_ID': str(domain_id),
+            'PYTHONPATH': os.pathsep.join(sys.path),
+        }
         self._relay = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name('relay.py'))],
-            env={
-                **os.environ,
-                'ROS_DOMAIN_ID': str(domain_id),
-                'PYTHONPATH': os.pathsep.join(sys.path),
-            },
+            env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -150,13 +158,12 @@ class Graph(link.ServiceClientNode):
         """Command where the sine along x is now."""
         position, quaternion = self.home
         w = 2.0 * math.pi / MOTION_PERIOD
-        phase = w * messages.stamp_to_ns(self.pose.header.stamp) * 1e-9
+        time_s = messages.stamp_to_ns(self.pose.header.stamp) * 1e-9
         x = AMPLITUDE * np.eye(6)[0]
+        way = math.sin(w * time_s) * x
+        twist = w * math.cos(w * time_s) * x
         motion = messages.motion_message(
-            position + math.sin(phase) * x[:3],
-            quaternion,
-            w * math.cos(phase) * x,
-            -w * w * math.sin(phase) * x,
+            position + way[:3], quaternion, twist, -w * w * way
         )
         self._motion_command.publish(motion)
 
@@ -194,16 +201,16 @@ class Graph(link.ServiceClientNode):
             if not publisher.get_subscription_count():
                 return False
         if self.home is None:
-            p, q = self.pose.pose.position, self.pose.pose.orientation
+            p = self.pose.pose.position
+            q = self.pose.pose.orientation
             self.home = np.array([p.x, p.y, p.z]), [q.x, q.y, q.z, q.w]
         self.moves = True
         self._command_forces(self.wanted)
         return True
 
     def _command_forces(self, forces):
-        self._force_command.publish(
-            JointState(name=list(forces), effort=list(forces.values()))
-        )
+        message = JointState(name=list(forces), effort=list(forces.values()))
+        self._force_command.publish(message)
 
     def inject(self, fault, seed):
         """Let a fault happen; what a node was led down from is left to `recover`."""
@@ -265,15 +272,14 @@ class Graph(link.ServiceClientNode):
         recent = self.since(topics.TRUE_FORCES, time.time() - SETTLE_TIME)
         if len(recent) < 0.3 * SETTLE_TIME * self.setup.controller.rate:
             return False
-        forces = np.array(
-            [[values[name] for name in self.wanted] for _, values in recent]
-        )
+        forces = as_rows(recent, self.wanted)
         off = np.abs(forces.mean(axis=0) / WANTED_FORCE - 1.0)
-        return bool((forces > 0.0).all() and (off <= FORCE_TOLERANCE).all())
+        return forces.min() > 0.0 and off.max() <= FORCE_TOLERANCE
 
     def break_once(self, fault, seed):
         """Let a fault happen and recover; return the `FaultRow`."""
-        problems, recovered = [], False
+        problems = []
+        recovered = False
         begin = time.time()
         try:
             self.spin(float(fault.random_source(seed).uniform(*QUIET)))
@@ -304,18 +310,21 @@ class Graph(link.ServiceClientNode):
             values = [value for _, efforts in sent for value in efforts.values()]
             if not np.isfinite(values).all():
                 problems.add(f'{topic.name} not finite')
-        commands, forces = heard[topics.EFFORT_COMMAND], heard[topics.TRUE_FORCES]
-        joints = self.setup.controller.robot.joint_names
+        commands = heard[topics.EFFORT_COMMAND]
+        forces = heard[topics.TRUE_FORCES]
         samples = np.array([sent for sent, _ in forces])
         silences = self._silences(begin, [sent for sent, _ in commands], samples)
-        torque = np.array([[values[name] for name in joints] for _, values in commands])
-        return outcomes.Observation(
-            torque=torque.reshape(-1, len(joints)),
+        reaction = 'commands'
+        if silences:
+            reaction = 'silent'
+        seen = outcomes.Observation(
+            torque=as_rows(commands, self.setup.controller.robot.joint_names),
             time=samples - begin,
-            force=np.array([max(x.values()) for _, x in forces]),
-            reaction='silent' if silences else 'commands',
+            force=as_rows(forces, self.wanted).max(axis=1),
+            reaction=reaction,
             problems=problems,
-        ), silences
+        )
+        return seen, silences
 
     def _silences(self, begin, commands, samples):
         """

@@ -13,7 +13,9 @@ import sys
 import tempfile
 
 HERE = Path(__file__).resolve().parent
-PASSED, FAILED = 0, 1  # exit codes of pytest
+# Exit codes of pytest.
+PASSED = 0
+FAILED = 1
 LEFT_OUT = shutil.ignore_patterns('.git', '.venv', 'build', '.*_cache', '__pycache__')
 
 
@@ -31,10 +33,11 @@ def is_caught(folder, file, before, after, test):
     if before not in text:
         raise SystemExit(f'{file}: expected the line `{before}`, got no such line')
     path.write_text(text.replace(before, after, 1))
+    changes = {'PYTHONPATH': str(folder), 'MULTICONTACT_COMPILE': 'lazily'}
     code = subprocess.call(
         [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', test],
         cwd=folder,
-        env={**os.environ, 'PYTHONPATH': str(folder), 'MULTICONTACT_COMPILE': 'lazily'},
+        env={**os.environ, **changes},
         stdout=subprocess.DEVNULL,
     )
     path.write_text(text)
@@ -46,17 +49,15 @@ def is_caught(folder, file, before, after, test):
 if __name__ == '__main__':
     survived = []
     with tempfile.TemporaryDirectory() as name:
-        copy = Path(
-            shutil.copytree(HERE.parents[1], Path(name) / 'copy', ignore=LEFT_OUT)
-        )
-        for number, *mutation in read_mutations():
-            if number in sys.argv[1:] or not sys.argv[1:]:
-                caught = is_caught(copy, *mutation)
-                survived += [] if caught else [number]
-                print(
-                    number,
-                    'caught' if caught else 'SURVIVED',
-                    *mutation[::3],
-                    flush=True,
-                )
-    sys.exit(f'survived: {", ".join(survived)}' if survived else 0)
+        copy = Path(name) / 'copy'
+        shutil.copytree(HERE.parents[1], copy, ignore=LEFT_OUT)
+        for number, file, before, after, test in read_mutations():
+            if sys.argv[1:] and number not in sys.argv[1:]:
+                continue
+            outcome = 'caught'
+            if not is_caught(copy, file, before, after, test):
+                outcome = 'SURVIVED'
+                survived.append(number)
+            print(number, outcome, file, test, flush=True)
+    if survived:
+        sys.exit(f'survived: {", ".join(survived)}')

@@ -10,9 +10,9 @@ from multicontact_control.control.tasks import (
     MotionReading,
     ReferenceConfig,
     ScenarioTask,
-    shortest_motion_duration,
     SineConfig,
 )
+from multicontact_control.control.trajectory import shortest_motion_duration
 from multicontact_control.dynamics.rotations import Pose
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal

@@ -11,10 +11,10 @@ RATE = 60.0  # rad/s
 
 def swing(delay=0):
     """Return positions and velocities of joints that swing once in 52 samples, shape (50, 2)."""
-    phase = np.repeat(
-        RATE * PERIOD * (np.arange(50) - delay)[:, None], len(NAMES), axis=1
-    )
-    return 0.3 - 0.2 / RATE * np.cos(phase), 0.2 * np.sin(phase)
+    phase = RATE * PERIOD * (np.arange(50.0) - delay)
+    both = np.column_stack([phase, phase])
+    position = 0.3 - 0.2 / RATE * np.cos(both)
+    return position, 0.2 * np.sin(both)
 
 
 Q, QD = swing()
@@ -35,10 +35,10 @@ Q, QD = swing()
     ],
 )
 def test_what_is_wrong_with_a_velocity_is_named(velocity, likely):
-    text = explain_velocities(
-        np.hstack([Q, velocity]), np.array([1.5, 2.0]), NAMES, PERIOD
-    )
-    assert text.startswith('joint2: its velocity is') and likely in text
+    states = np.hstack([Q, velocity])
+    text = explain_velocities(states, np.array([1.5, 2.0]), NAMES, PERIOD)
+    assert text.startswith('joint2: its velocity is')
+    assert likely in text
 
 
 def explain_one(position, velocity, doubt):

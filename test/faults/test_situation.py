@@ -28,7 +28,8 @@ import numpy as np
 import pytest
 from robots import needs_mujoco
 
-TICKS, H = 500, 0.002
+TICKS = 500
+H = 0.002
 PANDA = {'scenario': 'one_contact', 'robot': 'panda', 'plant': 'rigid'}
 X = np.eye(3)[0]
 Y = np.eye(3)[1]
@@ -80,36 +81,26 @@ def on_the_way(direction, distance):
     return np.linspace(0.0, distance, TICKS)[:, np.newaxis] * direction
 
 
+def tip_going_down(distance):
+    """Return places of the one tip that goes evenly down, shape (ticks, 1, 3) [m]."""
+    return on_the_way(DOWN, distance)[:, np.newaxis]
+
+
+AHEAD = on_the_way(X, 0.3)
+
+
 @pytest.mark.parametrize(
     ('changes', 'expected'),
     [
         ({}, 0.0),
         # It falls short, comes behind, or is ahead: no motion that was not asked for.
-        ({'setpoint': on_the_way(X, 0.3)}, 0.0),
-        ({'setpoint': on_the_way(X, 0.3), 'position': on_the_way(X, 0.1)}, 0.0),
-        (
-            {
-                'setpoint': on_the_way(X, 0.3),
-                'position': on_the_way(X, 0.3) + 0.002 * X,
-            },
-            0.0,
-        ),
+        ({'setpoint': AHEAD}, 0.0),
+        ({'setpoint': AHEAD, 'position': on_the_way(X, 0.1)}, 0.0),
+        ({'setpoint': AHEAD, 'position': AHEAD + 0.002 * X}, 0.0),
         # A stop lets it go on askew, nearer to the setpoint.
-        (
-            {
-                'setpoint': on_the_way(X, 0.0) + 0.2 * X,
-                'position': on_the_way(X + Y, 0.05),
-            },
-            0.0,
-        ),
+        ({'setpoint': [0.2 * X] * TICKS, 'position': on_the_way(X + Y, 0.05)}, 0.0),
         # It is thrown sideways, goes beyond what has stopped, or the wrong way.
-        (
-            {
-                'setpoint': on_the_way(X, 0.3),
-                'position': on_the_way(X, 0.3) + on_the_way(Y, 0.02),
-            },
-            0.02,
-        ),
+        ({'setpoint': AHEAD, 'position': AHEAD + on_the_way(Y, 0.02)}, 0.02),
         ({'position': on_the_way(X, 0.01)}, 0.01),
         ({'position': on_the_way(X, 0.01), 'direction': np.zeros(3)}, 0.01),
         # What has gone aside at a stop stays there while the setpoint comes back: no motion.
@@ -120,18 +111,12 @@ def on_the_way(direction, distance):
             },
             0.0,
         ),
-        ({'setpoint': on_the_way(X, 0.3), 'position': on_the_way(X, -0.03)}, 0.03),
+        ({'setpoint': AHEAD, 'position': on_the_way(X, -0.03)}, 0.03),
         # Along the normal the contact leads it...
-        (
-            {
-                'position': on_the_way(DOWN, 0.05),
-                'tip': on_the_way(DOWN, 0.05)[:, np.newaxis],
-            },
-            0.0,
-        ),
+        ({'position': on_the_way(DOWN, 0.05), 'tip': tip_going_down(0.05)}, 0.0),
         # ...unless there is none yet: 0.02 m/s are asked for, ...
-        ({'force': 0.0, 'tip': on_the_way(DOWN, 0.02)[:, np.newaxis]}, 0.0),
-        ({'force': 0.0, 'tip': on_the_way(DOWN, 0.05)[:, np.newaxis]}, 0.03),
+        ({'force': 0.0, 'tip': tip_going_down(0.02)}, 0.0),
+        ({'force': 0.0, 'tip': tip_going_down(0.05)}, 0.03),
         # ...or nothing is asked for.
         ({'command': 0.0, 'position': on_the_way(DOWN, 0.03)}, 0.03),
     ],
@@ -145,15 +130,12 @@ def test_unasked_motion_is_what_nothing_asks_for(setup, changes, expected):
 def test_tip_that_leaves_its_surface_is_unasked_unless_on_purpose(
     setup, state, expected
 ):
-    pressing = np.arange(TICKS)[:, np.newaxis] < 100
-    height = np.clip(np.linspace(-0.0075, 0.03, TICKS), 0.0, None)
-    rising = height[:, np.newaxis] * -DOWN
-    _, trace = record_still_arm(
-        setup,
-        force=10.0 * pressing,
-        tip=rising[:, np.newaxis],
-        states=[(state,)] * TICKS,
-    )
+    forces = np.zeros((TICKS, 1))
+    forces[:100] = 10.0
+    tip = np.zeros((TICKS, 1, 3))
+    tip[100:, 0] = np.linspace(0.0, 0.03, TICKS - 100)[:, np.newaxis] * -DOWN
+    states = [(state,)] * TICKS
+    _, trace = record_still_arm(setup, force=forces, tip=tip, states=states)
     assert unasked_motion(setup, trace) == pytest.approx(expected, abs=2e-4)
 
 
@@ -181,8 +163,8 @@ def test_course_goes_there_and_back_at_its_speed_without_a_jump():
     start = np.array([0.1, 0.5, 0.4])
     pose = Pose.from_quaternion(start, np.array([0.0, 0.0, 0.0, 1.0]))
     course = Course(pose, X, np.zeros(3), 0.3, 0.4, legs=2)
-    times = H * np.arange(round(course.duration / H))
-    readings = course.setpoints(np.array([course.way_at(time) for time in times]))
+    ways = [course.way_at(H * k) for k in range(round(course.duration / H))]
+    readings = course.setpoints(np.array(ways))
     places = np.array([reading.position_world for reading in readings])
     speeds = np.array([reading.twist_world[0] for reading in readings])
     accelerations = np.array([reading.acceleration_world[0] for reading in readings])
@@ -190,10 +172,10 @@ def test_course_goes_there_and_back_at_its_speed_without_a_jump():
     np.testing.assert_allclose(places[-1], start, atol=1e-12)
     np.testing.assert_allclose(np.ptp(places, axis=0), [0.3, 0.0, 0.0])
     assert np.abs(speeds).max() == pytest.approx(0.4)
-    jump = (np.gradient(places[:, 0], H) - speeds)[1:-1]
-    np.testing.assert_allclose(jump, 0.0, atol=4e-3)
-    jerk = (np.gradient(speeds, H) - accelerations)[1:-1]
-    np.testing.assert_allclose(jerk, 0.0, atol=0.05)
+    slopes = np.gradient(places[:, 0], H)
+    np.testing.assert_allclose(slopes[1:-1], speeds[1:-1], rtol=0.0, atol=4e-3)
+    slopes = np.gradient(speeds, H)
+    np.testing.assert_allclose(slopes[1:-1], accelerations[1:-1], rtol=0.0, atol=0.05)
 
 
 @pytest.mark.parametrize(
@@ -213,12 +195,12 @@ def test_joint_is_led_beyond_its_stop_by_the_task(joint, side, force):
     assert stop == pytest.approx(q[joint - 1] + sign * 0.1)
     if force:
         assert course.direction @ DOWN == pytest.approx(0.0, abs=1e-9)
-    step = np.concatenate([course.direction, course.axis]) * course.distance / 100
+    way = course.distance * np.concatenate([course.direction, course.axis])
     for _ in range(100):
         state = robot.update(q, np.zeros(7))
         J = state.jacobian
         moved = np.linalg.solve(state.mass_matrix, J.T)
-        q = q + moved @ np.linalg.solve(J @ moved, step)
+        q = q + moved @ np.linalg.solve(J @ moved, way / 100)
     assert sign * (q[joint - 1] - stop) > 0.02
 
 

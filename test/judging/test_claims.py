@@ -18,10 +18,9 @@ FIXED = {'noise_estimator': {'estimator': 'fixed'}}
 
 
 def evidence(data, setup, **changes):
-    summary = summarise_run(
-        RunMetrics(data, setup), mode='in_process', timing={}, **changes
-    )
-    return collect_evidence(RunMetrics(data, setup), summary)
+    metrics = RunMetrics(data, setup)
+    summary = summarise_run(metrics, mode='in_process', timing={}, **changes)
+    return collect_evidence(metrics, summary)
 
 
 def claim_of(data, setup, words, rows=(), **changes):
@@ -38,6 +37,11 @@ def changed(data, name, window, values):
     series = getattr(data, name).copy()
     series[window] = values
     return replace(data, **{name: series})
+
+
+def between(data, start, end):
+    """Return which samples are in a time [s], its end excluded, shape (ticks,)."""
+    return (data.time >= start) & (data.time < end)
 
 
 @pytest.fixture(scope='module')
@@ -81,9 +85,9 @@ def stay_aside(data):
 
 
 def turn_tool(data):
-    return replace(
-        data, quaternion=data.quaternion + [np.sin(0.015), 0.0, 0.0, np.cos(0.015) - 1]
-    )
+    turned = data.quaternion.copy()
+    turned[:] = np.sin(0.015), 0.0, 0.0, np.cos(0.015)
+    return replace(data, quaternion=turned)
 
 
 def double_variance_at_rest(data):
@@ -95,7 +99,7 @@ def keep_variance_small_in_motion(data):
 
 
 def start_undisturbed(data):
-    start = (data.time >= MOTION) & (data.time < MOTION + 2.0)
+    start = between(data, MOTION, MOTION + 2.0)
     return changed(data, 'alpha_true', (start, 1), 10.01)
 
 
@@ -150,21 +154,21 @@ def test_fixed_claim_follows_the_runs_with_a_fixed_variance(data, setup, fixed):
     at_rest = row('fixed', lost_at_rest, fixed)
     other_plant = resolve('disturbance', plant='puma', **FIXED)
     other = row('fixed', lose_board(data), other_plant)
-    for rows, holds in (
-        ([bad, bad], True),
-        ([bad, good], False),
-        ([at_rest], False),
-        ([other], None),
-    ):
-        assert claim_of(data, setup, 'Without on-line R', rows).holds is holds
+
+    def holds(*rows):
+        return claim_of(data, setup, 'Without on-line R', rows).holds
+
+    assert holds(bad, bad) is True
+    assert holds(bad, good) is False
+    assert holds(at_rest) is False
+    assert holds(other) is None
 
 
 def pushed(setup, duration):
     """Return a run whose forces are 2 N off for a while after each push at rest."""
     data = perfect_run(setup)
-    for start, length in ((5.0, 0.1 + duration), (6.5, duration)):
-        off = (data.time >= start) & (data.time < start + length)
-        data.alpha_true[off, 0] = 17.0
+    for start, end in ((5.0, 5.1 + duration), (6.5, 6.5 + duration)):
+        data.alpha_true[between(data, start, end), 0] = 17.0
     return data
 
 
@@ -181,7 +185,7 @@ def test_filter_claim_compares_the_recoveries(data, setup, lead, slow, holds):
 
 
 def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup):
-    after_push = (data.time > 5.0) & (data.time < 5.3)
+    after_push = between(data, 5.0, 5.3)
     for peak, holds in ((60.0, True), (1.2, False)):
         jumping = changed(data, 'noise_variance', after_push, peak)
         rows = [row('lead_window', data, setup), row('innovation', jumping, setup)]

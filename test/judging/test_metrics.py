@@ -21,11 +21,17 @@ def data(setup):
     return perfect_run(setup)
 
 
+def between(data, start, end):
+    """Return which samples are after a time and before another [s], shape (ticks,)."""
+    return (data.time > start) & (data.time < end)
+
+
 def test_windows_are_those_of_the_definition(setup, data):
     judged = RunMetrics(data, setup).windows
-    rest, moving = data.time[judged.rest], data.time[judged.moving]
-    assert (rest[0], rest[-1]) == pytest.approx((5.0, 6.498))
-    assert (moving[0], moving[-1]) == pytest.approx((8.5, 11.998))
+    rest = data.time[judged.rest]
+    moving = data.time[judged.moving]
+    assert rest[[0, -1]] == pytest.approx([5.0, 6.498])
+    assert moving[[0, -1]] == pytest.approx([8.5, 11.998])
     assert data.time[judged.loaded][0] == pytest.approx(2.5)
 
 
@@ -58,9 +64,11 @@ def test_losses_are_counted_under_load(setup, data):
 
 def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
     at_rest = RunMetrics(data, setup).windows.rest
-    alternating = np.where(np.arange(data.ticks) % 2, 0.5, -0.5)
+    alternating = np.full(data.ticks, 0.5)
+    alternating[::2] = -0.5
+    before = between(data, 4.5, 5.0) & ~at_rest
     data.alpha_true[at_rest, 0] += alternating[at_rest]
-    data.alpha_true[~at_rest & (data.time > 4.5) & (data.time < 5.0), 0] += 3.0
+    data.alpha_true[before, 0] += 3.0
     table, board = RunMetrics(data, setup).contacts
     rest = table.summarise()['rest']
     assert rest['true_error_rms_n'] == pytest.approx(0.5)
@@ -71,9 +79,15 @@ def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
 def lagging_step(data, start):
     """Return a step from 2 to 10 N with a lag of 0.05 s that overshoots by 10 % later."""
     t = data.time - start
-    response = np.where(t < 0.0, 0.0, 1.0 - np.exp(-t / 0.05))
-    response[(t > 0.5) & (t < 0.6)] = 1.1
+    response = 1.0 - np.exp(-t / 0.05)
+    response[t < 0.0] = 0.0
+    response[between(data, start + 0.5, start + 0.6)] = 1.1
     return 2.0 + 8.0 * response
+
+
+def first_step(data, setup):
+    """Return the response of the first contact to its first step."""
+    return RunMetrics(data, setup).contacts[0].step_responses[0]
 
 
 def assert_known_lag(step, start):
@@ -95,10 +109,12 @@ def test_step_response_of_a_known_lag(setup, data):
 
 
 def test_step_commanded_by_a_topic_begins_at_the_force_that_was_pressed(setup, data):
-    commanded = data.time >= 3.0
+    before = data.time < 3.0
     data.alpha_true[:, 0] = lagging_step(data, 3.0)
-    data.alpha_des[:] = np.where(commanded, 10.0, 2.0)[:, None]
-    data.command[:] = np.where(commanded, 10.0, 0.0)[:, None]
+    data.alpha_des[:] = 10.0
+    data.alpha_des[before] = 2.0
+    data.command[:] = 10.0
+    data.command[before] = 0.0
     by_topic = replace(setup, commanded_by_topic=True)
     (step,) = RunMetrics(data, by_topic).contacts[0].step_responses
     assert_known_lag(step, 3.0)
@@ -110,7 +126,7 @@ def test_step_that_stays_off_its_command_has_a_steady_error(
 ):
     """Within 5 % of the step of 8 N, and beyond."""
     data.alpha_true[data.time > 2.5, 0] += error
-    first = RunMetrics(data, setup).contacts[0].step_responses[0]
+    first = first_step(data, setup)
     assert first.settling_s == settling
     assert first.steady_error_n == pytest.approx(error)
 
@@ -119,11 +135,11 @@ def test_measured_force_settles_within_the_noise_of_its_sensor(setup, data):
     """Also after a touch, which is no noise: 0.3 N, in a band of 0.9 N and not of 0.4 N."""
     noise = 0.3 * np.random.default_rng(0).standard_normal(data.ticks)
     data.alpha_meas[:, 0] += noise
-    data.alpha_meas[(data.time > 1.9) & (data.time < 1.95), 0] += 20.0
+    data.alpha_meas[between(data, 1.9, 1.95), 0] += 20.0
     data.alpha_true[:] = np.nan
-    assert RunMetrics(data, setup).contacts[0].step_responses[0].settling_s < 0.1
+    assert first_step(data, setup).settling_s < 0.1
     data.alpha_true[:] = data.alpha_meas
-    assert RunMetrics(data, setup).contacts[0].step_responses[0].settling_s is None
+    assert first_step(data, setup).settling_s is None
 
 
 @pytest.mark.parametrize(('law', 'ratio'), [('aob', 1.02), ('pi', None)])
@@ -142,14 +158,16 @@ def test_couple_has_no_loss_and_its_steps_begin_at_zero():
     data = perfect_run(edge)
     data.alpha_true[:] = edge.commanded(data.time)
     there, back = RunMetrics(data, edge).contacts[1].step_responses
-    assert (there.time_s, there.size_n) == (6.0, 3.0)
-    assert (back.time_s, back.size_n) == (7.5, -3.0)
+    assert there.time_s == 6.0
+    assert there.size_n == 3.0
+    assert back.time_s == 7.5
+    assert back.size_n == -3.0
     data.alpha_true[::2, 1] = -1.0
-    force, couple = RunMetrics(data, edge).contacts
-    assert force.summarise()['moving']['contact_loss_fraction'] == 0.0
-    moving = couple.summarise()['moving']
-    assert moving['contact_loss_fraction'] is None
-    assert moving['true_error_rms_n'] == pytest.approx(0.5**0.5, rel=1e-3)
+    contacts = RunMetrics(data, edge).contacts
+    force, couple = (contact.summarise()['moving'] for contact in contacts)
+    assert force['contact_loss_fraction'] == 0.0
+    assert couple['contact_loss_fraction'] is None
+    assert couple['true_error_rms_n'] == pytest.approx(np.sqrt(0.5), rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -162,7 +180,8 @@ def test_motion_error_along_the_normals_does_not_count(scenario, error):
     if error is None:
         error = 0.03 * np.array(setup.plant.surfaces['table'].normal_world)
     data.position[:] += error
-    assert RunMetrics(data, setup).summarise_motion()['moving_position_rms_m'] < 1e-12
+    motion = RunMetrics(data, setup).summarise_motion()
+    assert motion['moving_position_rms_m'] < 1e-12
 
 
 def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
@@ -187,7 +206,7 @@ def pushed():
 
 def with_error(data, start, end, error, contact=0):
     true = data.alpha_true.copy()
-    true[(data.time >= start - 1e-9) & (data.time < end - 1e-9), contact] += error
+    true[between(data, start - 1e-9, end - 1e-9), contact] += error
     return replace(data, alpha_true=true)
 
 
@@ -218,4 +237,5 @@ def test_recovery_is_the_time_until_the_error_stays_in_the_band(
 
 def test_run_that_is_unstable_by_then_recovers_from_no_push(pushed):
     contact = RunMetrics(perfect_run(pushed), pushed).contacts[0]
-    assert {answer['recovery'] for answer in contact.measure_recoveries(4.0)} == {None}
+    for answer in contact.measure_recoveries(4.0):
+        assert answer['recovery'] is None

@@ -7,7 +7,13 @@ from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.diagnostics import InputMonitor
 from multicontact_control.nodes.link import ServiceClientNode
-from multicontact_control.nodes.topics import JOINT_STATES, NOISE_VARIANCE, WRENCH
+from multicontact_control.nodes.topics import (
+    CONTROLLER,
+    JOINT_STATES,
+    NOISE_VARIANCE,
+    TOPICS,
+    WRENCH,
+)
 from multicontact_control.runs.graph.processes import LINE_LENGTH
 import numpy as np
 import pytest
@@ -35,16 +41,25 @@ class StrangeArm(FakeArm):
     frame = 'ft_face'
 
     def send_parts(self, stamp, parts):
+        joints = self.config.robot.joint_names[::-1]
         message = messages.joint_state_message(
-            stamp,
-            ['left_finger', *reversed(self.config.robot.joint_names), 'right_finger'],
-            velocity=np.zeros(8),
+            stamp, ['left_finger', *joints, 'right_finger'], velocity=np.zeros(8)
         )
-        position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
-        message.position = list(map(float, position))
-        message.effort = list(map(float, effort))
+        message.position = [np.nan, *map(float, HOME[::-1]), 0.04]
+        message.effort = [np.nan, *map(float, EFFORT[::-1]), 0.04]
         self._joints.publish(message)
         self._wrench.publish(wrench_message(stamp + 50_000, self.frame, self.wrench))
+
+
+def test_controller_subscribes_to_what_the_table_says_and_to_one_wrench(host):
+    node = host.activate()
+    expected = {WRENCH.name}
+    for topic in TOPICS:
+        if CONTROLLER in topic.subscribers:
+            expected.add(topic.name)
+    assert {
+        subscription.topic_name.lstrip('/') for subscription in node.subscriptions
+    } == expected
 
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
@@ -55,20 +70,20 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
     def send():
         arm.send_parts(time.monotonic_ns() // PERIOD * PERIOD, parts)
 
+    def answered():
+        send()
+        return arm.newest_command()
+
     def commanded():
         arm.newest_command()
-        wait_for(
-            lambda: send() or arm.newest_command(), f'commands while there is {parts}'
-        )
+        wait_for(answered, f'commands while there is {parts}')
 
     def supervisor_with(reaction, cause=''):
-        return arm.diagnostics(
-            lambda x: (
-                (values := x['supervisor'][2])['reaction'] == reaction
-                and cause in values.get('causes', '')
-            ),
-            send,
-        )['supervisor']
+        def reacts(report):
+            _, _, values = report['supervisor']
+            return values['reaction'] == reaction and cause in values.get('causes', '')
+
+        return arm.diagnostics(reacts, send)['supervisor']
 
     commanded()  # before the first one nothing is missing
     for parts, reaction, cause in (
@@ -76,10 +91,21 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
         ({'wrench'}, 'float', 'joints_stale'),
     ):
         level, _, values = supervisor_with(reaction, cause)
-        assert level == 2 and int(values[f'ticks with {reaction}']) > 0
+        assert level == 2
+        assert int(values[f'ticks with {reaction}']) > 0
         commanded()
         parts = BOTH
         supervisor_with('none')
+
+
+def refuses(text):
+    """Return whether the diagnostics name a refusal, as a condition on them."""
+
+    def condition(report):
+        _, _, refusals = report['messages']
+        return any(text in key for key in refusals)
+
+    return condition
 
 
 def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host):
@@ -97,18 +123,17 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host):
         send()
         before = torque
         torque = arm.step()
-        np.testing.assert_allclose(
-            torque, before, atol=0.2
-        )  # the blend at the start goes on
-    report = arm.diagnostics(
-        lambda x: any('stamp: expected one after' in key for key in x['messages'][2]),
-        lambda: (send(), arm.step()),
-    )
-    assert (
-        report['supervisor'][2]
-        .keys()
-        .isdisjoint({'ticks with hold', 'ticks with float'})
-    )
+        # The blend at the start goes on.
+        np.testing.assert_allclose(torque, before, atol=0.2)
+
+    def send_and_step():
+        send()
+        arm.step()
+
+    report = arm.diagnostics(refuses('stamp: expected one after'), send_and_step)
+    _, _, values = report['supervisor']
+    assert 'ticks with hold' not in values
+    assert 'ticks with float' not in values
     arm.k -= 1000
     arm.connect()
     report = arm.diagnostics(lambda x: 'ticks with hold' in x['supervisor'][2])
@@ -124,7 +149,7 @@ def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host
     arm.settle(20)
     arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
     arm.frame = 'tool0'
-    arm.diagnostics(lambda x: any('header.frame_id' in key for key in x['messages'][2]))
+    arm.diagnostics(refuses('header.frame_id'))
 
 
 @pytest.mark.parametrize(
@@ -160,17 +185,23 @@ def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domai
         'joint_effort_command': JointState,
         '/bare': Float64MultiArray,
     }
+
+    def has_two_of_each(report):
+        _, _, counts = report['publishers']
+        return all(counts[topic] == '2' for topic in topics)
+
     level, _, counts = arm.diagnostics(lambda x: 'publishers' in x)['publishers']
-    assert (level, [counts[topic] for topic in topics]) == (0, ['1'] * 3)
+    assert level == 0
+    for topic in topics:
+        assert counts[topic] == '1'
     with ServiceClientNode('intruder', host_domain) as guest:
         for topic, message in topics.items():
             guest.node.create_publisher(message, topic, 1)
-        level, text, _ = arm.diagnostics(
-            lambda x: all(x['publishers'][2][topic] == '2' for topic in topics),
-            arm.step,
-        )['publishers']
+        report = arm.diagnostics(has_two_of_each, arm.step)
+    level, text, _ = report['publishers']
     assert level == 1
-    assert all(name in text for name in ('intruder', *topics))
+    for name in ('intruder', *topics):
+        assert name in text
     assert 'joint_states has 2 publishers, expected 1: intruder, sim_node' in text
 
 
@@ -179,9 +210,8 @@ def test_second_publisher_of_the_same_node_is_counted_and_not_named_twice(host):
     arm = FakeArm(host)
     second = FakeArm(host)
     arm.connect()
-    text = arm.diagnostics(lambda x: x['publishers'][2]['joint_states'] == '2')[
-        'publishers'
-    ][1]
+    report = arm.diagnostics(lambda x: x['publishers'][2]['joint_states'] == '2')
+    _, text, _ = report['publishers']
     assert 'joint_states has 2 publishers, expected 1: sim_node (2 times, ' in text
     assert second.k == 0
 

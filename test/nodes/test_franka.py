@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from fake_arm import wrench_message
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.nodes.franka_bridge import FrankaBridge, LateConfig, LateRule
+from multicontact_control.nodes.graph import ignore_message
 from multicontact_control.nodes.runtime import Spinner
 import numpy as np
 import pytest
@@ -48,10 +49,15 @@ def test_late_rule_holds_damps_and_ends_within_the_rate_and_counts(age, kind, wa
     before = np.zeros(7)
     for _ in range(10):
         torque = rule.choose_torque(age, np.full(7, 1.0), np.full(7, 0.2), before)
-        assert torque is None or np.abs(torque - before).max() < 1.0
-        before = before if torque is None else torque
-    assert (rule.kind, rule.figures[kind]) == (kind, 10)
-    assert torque is None if wanted is None else torque[0] == pytest.approx(wanted)
+        if torque is not None:
+            assert np.abs(torque - before).max() < 1.0
+            before = torque
+    assert rule.kind == kind
+    assert rule.figures[kind] == 10
+    if wanted is None:
+        assert torque is None
+    else:
+        assert torque[0] == pytest.approx(wanted)
 
 
 class Bench:
@@ -71,12 +77,10 @@ class Bench:
         self.status = {}
         self.robot = MagicMock(read_once=self.state)
         self.robot.load_model.return_value.gravity.return_value = GRAVITY
-        self.robot.start_torque_control = lambda: SimpleNamespace(
+        self.robot.start_torque_control.return_value = SimpleNamespace(
             readOnce=lambda: (self.state('Move'), None), writeOnce=self.write
         )
-        self.robot.automatic_error_recovery.side_effect = lambda: setattr(
-            self, 'mode', 'Idle'
-        )
+        self.robot.automatic_error_recovery.side_effect = self.recover
         self.library = SimpleNamespace(
             FrankaException=ValueError,
             NetworkException=ConnectionLost,
@@ -84,7 +88,9 @@ class Bench:
             Robot=MagicMock(return_value=self.robot),
             Torques=lambda tau: SimpleNamespace(tau_J=tau, motion_finished=False),
         )
-        self.middleware, node, self._stop = middleware, middleware.node, []
+        self.middleware = middleware
+        self._stop = []
+        node = middleware.node
         self._bridge = FrankaBridge(
             self.library,
             context=node.context,
@@ -93,16 +99,18 @@ class Bench:
         self._spinner = Spinner(self._bridge, self._stop)
         self._thread = Thread(target=self._bridge.run, args=(self._spinner,))
         self._thread.start()
-        self.samples, self.wrenches, self._statuses = (
-            node.create_subscription(message, name, lambda _: None, 10)
-            for message, name in (
-                (JointState, 'joint_states'),
-                (WrenchStamped, 'ft_sensor/wrench'),
-                (DiagnosticStatus, 'franka_bridge/status'),
-            )
-        )
+        self.samples = self.subscribe(JointState, 'joint_states')
+        self.wrenches = self.subscribe(WrenchStamped, 'ft_sensor/wrench')
+        self._statuses = self.subscribe(DiagnosticStatus, 'franka_bridge/status')
         self._commands = node.create_publisher(JointState, 'joint_effort_command', 10)
         self._sensor = node.create_publisher(WrenchStamped, 'franka_bridge/wrench', 10)
+
+    def subscribe(self, message, name):
+        node = self.middleware.node
+        return node.create_subscription(message, name, ignore_message, 10)
+
+    def recover(self):
+        self.mode = 'Idle'
 
     def close(self):
         self._stop.append(2)
@@ -114,13 +122,14 @@ class Bench:
     def state(self, mode=None):
         with suppress(Empty):
             self.cycles.get(timeout=0.2)  # a robot never stands still
-        self.time = self.time + 1
+        self.time += 1
+        now = 1e-3 * self.time
         failure = self.failure
         self.failure = None
         if failure is not None:
             raise failure
         return SimpleNamespace(
-            time=SimpleNamespace(to_sec=lambda now=1e-3 * self.time: now),
+            time=SimpleNamespace(to_sec=lambda: now),
             q=[0.1] * 7,
             dq=[0.2] * 7,
             tau_J=GRAVITY + self.torque,
@@ -144,28 +153,32 @@ class Bench:
 
     def command(self, effort):
         """Answer the newest sample, with a wrench of the sensor beside it."""
-        if (sample := self.newest(self.samples)) is not None:
-            self._sensor.publish(
-                wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0])
+        sample = self.newest(self.samples)
+        if sample is not None:
+            wrench = wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0])
+            answer = JointState(
+                header=sample.header, name=JOINTS[::-1], effort=[effort] * 7
             )
-            self._commands.publish(
-                JointState(header=sample.header, name=JOINTS[::-1], effort=[effort] * 7)
-            )
+            self._sensor.publish(wrench)
+            self._commands.publish(answer)
         return sample
 
     def press(self, effort):
         """Command until the robot has got a torque."""
-        wait_for(lambda: self.command(effort) and self.torque[0] == effort, 'a torque')
+
+        def has_torque():
+            return self.command(effort) and self.torque[0] == effort
+
+        wait_for(has_torque, 'a torque')
 
     def wait_for_status(self, condition):
         """Wait until a status has message and values as a condition wants."""
 
         def matches():
-            if (new := self.newest(self._statuses)) is not None:
-                self.status = {
-                    'message': new.message,
-                    **{x.key: x.value for x in new.values},
-                }
+            new = self.newest(self._statuses)
+            if new is not None:
+                self.status = {x.key: x.value for x in new.values}
+                self.status['message'] = new.message
             return self.status and condition(self.status)
 
         wait_for(matches, 'a status', lambda: self.status)
@@ -185,13 +198,20 @@ def bench(middleware):
 def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_away(
     bench,
 ):
+
+    def loaded_sample():
+        sample = bench.command(2.5)
+        if sample is not None and sample.effort[0] == 2.5:
+            return sample
+        return None
+
     bench.press(2.5)
-    sample = wait_for(
-        lambda: (x := bench.command(2.5)) and x.effort[0] == 2.5 and x, 'a sample'
-    )
+    sample = wait_for(loaded_sample, 'a sample')
     wrench = wait_for(lambda: bench.newest(bench.wrenches), 'a wrench')
-    assert (list(sample.name), wrench.wrench.force.z) == (JOINTS, 2.5)
-    assert [list(sample.velocity), list(sample.effort)] == [[0.2] * 7, [2.5] * 7]
+    assert list(sample.name) == JOINTS
+    assert list(sample.velocity) == [0.2] * 7
+    assert list(sample.effort) == [2.5] * 7
+    assert wrench.wrench.force.z == 2.5
     for message in (sample, wrench):  # the robot's time
         assert message.header.stamp.nanosec % 1_000_000 == 0
     before = len(bench.sent)
@@ -199,9 +219,11 @@ def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_aw
         bench.cycles.put(None)
     wait_for(lambda: bench.sent[-1].motion_finished, 'the end of torque control')
     torques = np.array([each.tau_J for each in bench.sent[before:]])
-    assert np.abs(np.diff(torques[:, 0])).max() < 1.0
-    assert np.count_nonzero(torques[:, 0] == 2.5) <= 25  # 20 ms
-    np.testing.assert_allclose(torques[-1], -0.2 * np.array(LATE.damping), rtol=1e-6)
+    first = torques[:, 0]
+    damped = -0.2 * np.array(LATE.damping)
+    assert np.abs(np.diff(first)).max() < 1.0
+    assert np.count_nonzero(first == 2.5) <= 25  # 20 ms
+    np.testing.assert_allclose(torques[-1], damped, rtol=1e-6)
     bench.wait_for_status(
         lambda status: int(status['damped']) > 400 and status['stopped'] == '1'
     )
@@ -215,9 +237,11 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(
     bench, driver
 ):
     def recover():
-        return driver.call_service(
-            'franka_bridge', Trigger, 'recover', Trigger.Request()
-        )
+        request = Trigger.Request()
+        return driver.call_service('franka_bridge', Trigger, 'recover', request)
+
+    def needs_recovery(status):
+        return status['message'].endswith('; call ~/recover')
 
     for effort, failure, mode in (
         (1.5, RuntimeError('aborted by reflex'), 'Reflex'),
@@ -225,11 +249,11 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(
         (2.5, ConnectionLost('libfranka: UDP receive: Timeout'), 'Idle'),
     ):
         bench.press(effort)
-        bench.failure, bench.mode = failure, mode
-        bench.wait_for_status(
-            lambda status: status['message'].endswith('; call ~/recover')
-        )
-        assert bench.status['message'].split(';')[0].split('1: ')[-1] in str(failure)
+        bench.failure = failure
+        bench.mode = mode
+        bench.wait_for_status(needs_recovery)
+        message, _, _ = bench.status['message'].partition(';')
+        assert message.split('1: ')[-1] in str(failure)
         sent = len(bench.sent)
         for _ in range(5):
             bench.command(9.0)
@@ -237,19 +261,18 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(
         if mode == 'UserStopped':
             bench.wait_for_status(lambda status: status['robot_mode'] == 'UserStopped')
             refused = recover()
-            assert not refused.success and 'release the user stop' in refused.message
+            assert not refused.success
+            assert 'release the user stop' in refused.message
             bench.mode = 'Idle'
             bench.wait_for_status(lambda status: status['robot_mode'] == 'Idle')
-        assert (answer := recover()).success, answer.message
+        answer = recover()
+        assert answer.success, answer.message
     bench.press(0.5)
     bench.wait_for_status(
         lambda status: status['aborts'] == '3' and status['message'] == 'ok'
     )
-    assert (
-        bench.robot.automatic_error_recovery.call_count
-        == bench.library.Robot.call_count
-        == 2
-    )
+    assert bench.robot.automatic_error_recovery.call_count == 2
+    assert bench.library.Robot.call_count == 2
 
 
 @pytest.mark.ros
@@ -263,35 +286,29 @@ def test_documented_way_presses_ten_newtons_with_a_simulated_fr3(domain_id, tmp_
     )[:4]
     for name in ('docs', 'config'):
         (tmp_path / name).symlink_to(ROOT / name)
-    (tmp_path / 'press.py').write_text(
-        re.search(r'```python\n(.*?)```', text, re.DOTALL)[1]
-    )
-    printed = subprocess.run(
-        [
-            'timeout',
-            str(PATIENCE),
-            'bash',
-            '-ec',
-            f"""
+    program = re.search(r'```python\n(.*?)```', text, re.DOTALL)[1]
+    (tmp_path / 'press.py').write_text(program)
+    python_folder = os.path.dirname(sys.executable)
+    changes = {
+        'PYTHONPATH': str(ROOT),
+        'ROS_DOMAIN_ID': str(domain_id),
+        'PATH': f'{python_folder}:{os.environ["PATH"]}',
+    }
+    script = f"""
         trap 'kill $(jobs -p)' EXIT
         {simulate} > log; {simulator} > log &
         {bridge} -p late.hold_time:=5.0 -p late.stop_time:=9.0 &
         {run} > run.log &
         until grep ready run.log >&2; do sleep 0.5; done
-        python press.py""",
-        ],
+        python press.py"""
+    printed = subprocess.run(
+        ['timeout', str(PATIENCE), 'bash', '-ec', script],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         text=True,
         check=True,
-        env={
-            **os.environ,
-            'PYTHONPATH': str(ROOT),
-            'ROS_DOMAIN_ID': str(domain_id),
-            'PATH': f'{os.path.dirname(sys.executable)}:{os.environ["PATH"]}',
-        },
+        env={**os.environ, **changes},
     ).stdout
     forces = [float(force) for force in re.findall(r"': ([\d.]+)", printed)]
-    assert forces == pytest.approx(
-        [10.0, 10.0], abs=2.0
-    )  # at one time; 0.5 is for their mean
+    # At one time; 0.5 is for their mean.
+    assert forces == pytest.approx([10.0, 10.0], abs=2.0)

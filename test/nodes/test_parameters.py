@@ -26,7 +26,6 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sim_bridge.new_robot import new_robot
-import yaml
 
 CONTROLLER_FILE = find_config_folder() / 'controller.yaml'
 
@@ -52,14 +51,17 @@ def make_node(domain_id, tmp_path, monkeypatch):
     ):
 
         def make(*arguments, file=None):
-            files = ['--params-file', str(file)] if file else []
-            options = [part for argument in arguments for part in ('-p', argument)]
+            options = ['--ros-args']
+            if file:
+                options += ['--params-file', str(file)]
+            for argument in arguments:
+                options += ['-p', argument]
             node = Node(
                 'controller_node',
                 context=guest.context,
                 use_global_arguments=False,
                 start_parameter_services=False,
-                cli_args=['--ros-args', *files, *options],
+                cli_args=options,
             )
             nodes.callback(node.destroy_node)
             return node
@@ -73,51 +75,39 @@ def test_load_parameters_reads_what_a_file_says(make_node, tmp_path):
     assert config == controller_config()
     name = 'contacts.board.stiffness'
     assert node.get_parameter(name).value == config.contacts['board'].stiffness
-    file = (
-        tmp_path / 'parameters.yaml'
-    )  # YAML has no type for whole numbers and empty lists
-    file.write_text(
-        '/**:\n  ros__parameters:\n    size: 500\n    gains:\n      weights: []\n'
-    )
+    file = tmp_path / 'parameters.yaml'
+    # YAML has no type for whole numbers and empty lists.
+    file.write_text('/**: {ros__parameters: {size: 500, gains: {weights: []}}}')
     (config,) = load_parameters(make_node(file=file), Whole)
-    assert isinstance(config.size, float) and config.gains.weights == ()
+    assert isinstance(config.size, float)
+    assert config.gains.weights == ()
 
 
 def new_robot_file(folder):
-    new_robot(
-        seven_joint_urdf(folder),
-        'wrist',
-        'wrist',
-        folder / 'mine.yaml',
-        folder / 'controller.yaml',
-    )
-    return folder / 'controller.yaml'
+    urdf = seven_joint_urdf(folder)
+    file = folder / 'controller.yaml'
+    new_robot(urdf, 'wrist', 'wrist', folder / 'mine.yaml', file)
+    return file
+
+
+def quick_file(folder):
+    return resolve('quick').write(folder)['controller_node']
 
 
 def gantry_file(folder):
     """Names and numbers that rcl takes for something else, or not at all."""
-    write_parameters(
-        folder / 'gantry.yaml',
-        {
-            'controller_node': {
-                'watchdog': {},
-                'robot': {'joint_names': ['x', 'y', '1e5', 'n']},
-                'tool': {'mass': 1, 'com_sensor': [0, 0.05, 0]},
-                'contact_names': [],
-            }
-        },
-    )
-    return folder / 'gantry.yaml'
+    values = {
+        'watchdog': {},
+        'robot': {'joint_names': ['x', 'y', '1e5', 'n']},
+        'tool': {'mass': 1, 'com_sensor': [0, 0.05, 0]},
+        'contact_names': [],
+    }
+    file = folder / 'gantry.yaml'
+    write_parameters(file, {'controller_node': values})
+    return file
 
 
-@pytest.mark.parametrize(
-    'write',
-    [
-        new_robot_file,
-        gantry_file,
-        lambda folder: resolve('quick').write(folder)['controller_node'],
-    ],
-)
+@pytest.mark.parametrize('write', [new_robot_file, gantry_file, quick_file])
 def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
     make_node, tmp_path, write
 ):
@@ -125,10 +115,13 @@ def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
     overrides = parameter_overrides(make_node(file=file))
     read = read_controller_files([file])
     expected = flatten_parameters(read.controller | read.node)
-    assert expected and expected == {
-        name: list(x.value or ()) if isinstance(expected.get(name), list) else x.value
-        for name, x in overrides.items()
-    }
+    values = {}
+    for name, override in overrides.items():
+        values[name] = override.value
+        if isinstance(expected.get(name), list):
+            values[name] = list(override.value or ())
+    assert expected
+    assert values == expected
 
 
 @pytest.mark.parametrize(
@@ -161,26 +154,32 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
     parameters = ParameterSet(node, Whole)
 
     def use(configs):
-        if configs[0].gains.soft > configs[0].gains.stiff:
-            raise ConfigError('gains.soft', 'less than stiff', configs[0].gains.soft)
-        if configs[0].gains.soft == 0.0:
+        (config,) = configs
+        gains = config.gains
+        if gains.soft > gains.stiff:
+            raise ConfigError('gains.soft', 'less than stiff', gains.soft)
+        if gains.soft == 0.0:
             raise ArithmeticError('no solution')
-        applied.extend(configs)
+        applied.append((gains.soft, gains.stiff))
+
+    def note_refusal(name, error):
+        refused.append((name, str(error)))
 
     parameters.apply_design = use
-    parameters.report_refusal = lambda name, error: refused.append((name, str(error)))
+    parameters.report_refusal = note_refusal
     for value, reason in (
         (5.0, 'gains.soft: expected less than stiff, got 5.0'),
         (0.0, 'no solution'),
     ):
-        result = node.set_parameters([Parameter('gains.soft', value=value)])[0]
-        assert (result.successful, result.reason) == (False, reason)
+        (result,) = node.set_parameters([Parameter('gains.soft', value=value)])
+        assert not result.successful
+        assert result.reason == reason
         assert refused[-1] == ('gains.soft', reason)
-    assert node.get_parameter('gains.soft').value == 1.0 and not applied
-    assert node.set_parameters_atomically(
-        [Parameter('gains.soft', value=5.0), Parameter('gains.stiff', value=6.0)]
-    ).successful
-    assert [(x.gains.soft, x.gains.stiff) for x in applied] == [(5.0, 6.0)]
+    assert node.get_parameter('gains.soft').value == 1.0
+    assert not applied
+    both = [Parameter('gains.soft', value=5.0), Parameter('gains.stiff', value=6.0)]
+    assert node.set_parameters_atomically(both).successful
+    assert applied == [(5.0, 6.0)]
 
 
 @pytest.mark.parametrize(
@@ -196,31 +195,28 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
 )
 def test_path_is_relative_to_the_last_file_that_sets_it(tmp_path, given, folder):
     """A launch file's own, which is temporary, often comes last."""
-    contents = {
-        'mine': {
-            '/**': {'ros__parameters': {'robot': {'urdf': 'a.urdf', 'joint_names': []}}}
-        },
-        'other': {
-            'left': {'controller_node': {'ros__parameters': {'robot': {'urdf': 'b'}}}}
-        },
-        'dotted': {
-            '/left/controller_node': {'ros__parameters': {'robot.urdf': 'c.urdf'}}
-        },
-        'stranger': {'sim_node': {'ros__parameters': {'robot': {'urdf': 'd.urdf'}}}},
-        'launch': {'/**': {'ros__parameters': {'robot': {'armature': [0.1]}}}},
-    }
     arguments = ['--ros-args', '-p', 'rate:=500.0']
     for name in given:
         (tmp_path / name).mkdir()
         file = tmp_path / name / 'parameters.yaml'
-        file.write_text(yaml.safe_dump(contents[name]))
+        file.write_text(PARAMETER_FILES[name])
         arguments += ['--params-file', str(file)]
-    expected = tmp_path / folder if folder else Path()
-    assert find_parameter_folder('robot.urdf', 'controller_node', arguments) == expected
+    expected = Path()
+    if folder:
+        expected = tmp_path / folder
+    assert folder_of_urdf(arguments) == expected
     for text in ('robot.urdf:=here.urdf', 'controller_node:robot.urdf:=here.urdf'):
-        assert (
-            find_parameter_folder(
-                'robot.urdf', 'controller_node', [*arguments, '-p', text]
-            )
-            == Path()
-        )
+        assert folder_of_urdf([*arguments, '-p', text]) == Path()
+
+
+PARAMETER_FILES = {
+    'mine': '/**: {ros__parameters: {robot: {urdf: a.urdf, joint_names: []}}}',
+    'other': 'left: {controller_node: {ros__parameters: {robot: {urdf: b}}}}',
+    'dotted': '/left/controller_node: {ros__parameters: {robot.urdf: c.urdf}}',
+    'stranger': 'sim_node: {ros__parameters: {robot: {urdf: d.urdf}}}',
+    'launch': '/**: {ros__parameters: {robot: {armature: [0.1]}}}',
+}
+
+
+def folder_of_urdf(arguments):
+    return find_parameter_folder('robot.urdf', 'controller_node', arguments)

@@ -11,7 +11,7 @@ from arms import controller_config
 from fake_arm import wrench_message
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph import READY
+from multicontact_control.nodes.graph import create_publisher, READY
 from multicontact_control.nodes.recorder_node import Bag, RecorderNode
 from multicontact_control.runs.recording import read_bag
 import pytest
@@ -26,20 +26,17 @@ from std_msgs.msg import String
 
 pytestmark = pytest.mark.ros
 
-RECORDED = (topics.JOINT_STATES, topics.TRUE_FORCES, topics.WRENCH)
-COUNT, PERIOD, START = 600, 2_000_000, 1_795_000_000_000_000_000
+
+COUNT = 600
+PERIOD = 2_000_000  # ns
+START = 1_795_000_000_000_000_000  # ns
 CONTROLLER = controller_config()
 
 
 @pytest.fixture
 def publishers(middleware):
-    return {
-        topic: middleware.node.create_publisher(
-            topic.message, topic.name, topic.profile
-        )
-        for topic in topics.TOPICS
-        if topic.publisher == topics.SIM
-    }
+    of_simulator = [topic for topic in topics.TOPICS if topic.publisher == topics.SIM]
+    return {topic: create_publisher(middleware.node, topic) for topic in of_simulator}
 
 
 @pytest.fixture
@@ -53,13 +50,13 @@ def record(middleware, tmp_path):
             f'timing_file:={tmp_path / "counts.json"}',
             'startup_peers:=[sim_node]',
         )
-        ready = READY + topics.RECORDER
-        wait_for(
-            lambda: (
-                process.poll() is not None or middleware.node.count_publishers(ready)
-            ),
-            'recorder connected',
-        )
+
+        def is_ready_or_has_ended():
+            if process.poll() is not None:
+                return True
+            return middleware.node.count_publishers(READY + topics.RECORDER)
+
+        wait_for(is_ready_or_has_ended, 'recorder connected')
         assert process.poll() is None, process.communicate()[1]
         return process
 
@@ -68,18 +65,17 @@ def record(middleware, tmp_path):
 
 def publish(publishers, first, count):
     for k in range(first, first + count):
-        for topic in RECORDED:
-            publishers[topic].publish(
-                wrench_message(PERIOD * (1 + k), 'ft_face', [k] * 6)
-                if topic is topics.WRENCH
-                else messages.joint_state_message(
-                    PERIOD * (1 + k),
-                    CONTROLLER.robot.joint_names,
-                    position=[0.001 * k] * 6,
-                    velocity=[0.0] * 6,
-                    effort=[k] * 6,
-                )
-            )
+        stamp = PERIOD * (1 + k)
+        joints = messages.joint_state_message(
+            stamp,
+            CONTROLLER.robot.joint_names,
+            position=[0.001 * k] * 6,
+            velocity=[0.0] * 6,
+            effort=[k] * 6,
+        )
+        publishers[topics.JOINT_STATES].publish(joints)
+        publishers[topics.TRUE_FORCES].publish(joints)
+        publishers[topics.WRENCH].publish(wrench_message(stamp, 'ft_face', [k] * 6))
         time.sleep(0.0005)  # a few times faster than the graph, not without a limit
 
 
@@ -102,17 +98,15 @@ def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
     for publisher in publishers.values():
         assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
     counts = counts_after(process, tmp_path, signal.SIGTERM)
-    for topic in RECORDED[:2]:
-        assert [x.effort[0] for x in recorded(tmp_path / 'bag', topic.name)] == [
-            *range(COUNT)
-        ]
-    assert [counts['counts'][f'/{topic.name}'] for topic in RECORDED] == [COUNT] * len(
-        RECORDED
-    )
+    bag = tmp_path / 'bag'
+    for topic in (topics.JOINT_STATES, topics.TRUE_FORCES):
+        efforts = [message.effort[0] for message in recorded(bag, topic.name)]
+        assert efforts == [*range(COUNT)]
+    for topic in (topics.JOINT_STATES, topics.TRUE_FORCES, topics.WRENCH):
+        assert counts['counts'][f'/{topic.name}'] == COUNT
     assert counts['lost'] == 0
-    assert [x.data for x in recorded(tmp_path / 'bag', 'robot_description')] == [
-        'before it came'
-    ]
+    (description,) = recorded(bag, 'robot_description')
+    assert description.data == 'before it came'
 
 
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(
@@ -122,9 +116,8 @@ def test_recorder_that_is_killed_leaves_a_bag_that_is_read(
     folder = tmp_path / 'bag'
 
     def flushed():
-        with contextlib.suppress(
-            MulticontactError
-        ):  # as long as there is little to read
+        # As long as there is little to read it is an error.
+        with contextlib.suppress(MulticontactError):
             return read_bag(folder, CONTROLLER).data.ticks >= COUNT
 
     publish(publishers, 0, COUNT)
@@ -135,7 +128,7 @@ def test_recorder_that_is_killed_leaves_a_bag_that_is_read(
     assert not (folder / 'metadata.yaml').exists()
     content = read_bag(folder, CONTROLLER)
     assert content.data.effort[:COUNT, 0].tolist() == [*range(COUNT)]
-    assert any('cut off' in remark for remark in content.remarks)
+    assert 'cut off' in ' '.join(content.remarks)
 
 
 def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_read(
@@ -148,19 +141,25 @@ def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_rea
             break
         publish(publishers, first, 50)
     assert process.returncode == errno.EFBIG
-    errors = process.communicate()[1]
-    assert ': [Errno 27] File too large\n' in errors and 'Traceback' not in errors
+    _, errors = process.communicate()
+    assert ': [Errno 27] File too large\n' in errors
+    assert 'Traceback' not in errors
     assert 0 < read_bag(tmp_path / 'bag', CONTROLLER).data.ticks < first
 
 
 @pytest.mark.parametrize(
     ('parameters', 'field'),
-    [([], 'folder'), (['effort_output_topic:=a b'], 'effort_output_topic')],
+    [
+        ([], 'folder'),
+        (['folder:={folder}', 'effort_output_topic:=a b'], 'effort_output_topic'),
+    ],
 )
 def test_recorder_refuses_what_it_cannot_record(domain_id, tmp_path, parameters, field):
-    chosen = [f'folder:={tmp_path / "bag"}', *parameters] if parameters else []
+    arguments = ['--ros-args']
+    for parameter in parameters:
+        arguments += ['-p', parameter.format(folder=tmp_path / 'bag')]
     rclpy.init(
-        args=['--ros-args', *(part for x in chosen for part in ('-p', x))],
+        args=arguments,
         domain_id=domain_id,
         signal_handler_options=SignalHandlerOptions.NO,
     )
@@ -174,13 +173,10 @@ def test_recorder_refuses_what_it_cannot_record(domain_id, tmp_path, parameters,
 
 def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
     folder = tmp_path / 'bag'
-    sent = [
-        (
-            START + k * PERIOD,
-            serialize_message(wrench_message(START, 'ft_face', [k, 0, 0, 0, 0, -k])),
-        )
-        for k in range(COUNT)
-    ]
+    sent = []
+    for k in range(COUNT):
+        message = wrench_message(START, 'ft_face', [k, 0, 0, 0, 0, -k])
+        sent.append((START + k * PERIOD, serialize_message(message)))
     with contextlib.closing(Bag(folder)) as bag:
         wrench = bag.add_topic('/wrench', 'geometry_msgs/msg/WrenchStamped', qos.STREAM)
         bag.add_topic('/silent', 'std_msgs/msg/String', qos.LATCHED)
@@ -188,12 +184,11 @@ def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
             bag.write(wrench, stamp, data)
         assert [*bag.counts.values()] == [COUNT, 0]
     with Reader(folder) as reader:
-        profiles = [x.ext.offered_qos_profiles[0] for x in reader.connections]
-        assert [x.durability for x in profiles] == [
-            QosDurability.VOLATILE,
-            QosDurability.TRANSIENT_LOCAL,
-        ]
-        assert profiles[0].reliability == QosReliability.RELIABLE
-        assert [(time, bytes(data)) for _, time, data in reader.messages()] == sent
+        stream, latched = (x.ext.offered_qos_profiles[0] for x in reader.connections)
+        kept = [(stamp, bytes(data)) for _, stamp, data in reader.messages()]
+    assert stream.durability == QosDurability.VOLATILE
+    assert stream.reliability == QosReliability.RELIABLE
+    assert latched.durability == QosDurability.TRANSIENT_LOCAL
+    assert kept == sent
     with pytest.raises(RunError, match='expected a folder that does not exist yet'):
         Bag(folder)

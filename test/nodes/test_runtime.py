@@ -9,18 +9,13 @@ import pytest
 from ros_graph import ROOT
 
 pytestmark = pytest.mark.ros
-NODE = (
-    'multicontact_control.nodes.noise_estimator_node',
-    '--ros-args',
-    '--params-file',
-    'ä',
-)
+ESTIMATOR = 'multicontact_control.nodes.noise_estimator_node'
+NODE = (ESTIMATOR, '--ros-args', '--params-file', 'ä')
 TOPICS = ('multicontact_control.cli', 'topic', 'list', '--wait', '0')
 ASCII = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
 OTHER_ROS = {
     'ROS_DISTRO': 'humble',
     'AMENT_PREFIX_PATH': '/opt/ros/humble',
-    'PYTHONPATH': 'other',
 }
 
 
@@ -46,23 +41,23 @@ def test_odd_environment_does_no_harm_or_is_named_in_one_line(
 ):
     (tmp_path / 'rclpy').mkdir()
     (tmp_path / 'rclpy/__init__.py').touch()  # of another Python: without its library
-    environment = {
-        name: value for name, value in os.environ.items() if name != 'ROS_LOG_DIR'
-    }
-    changes = {
-        name: value.replace('other', str(tmp_path)) for name, value in changes.items()
-    }
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id), **changes}
+    if 'ROS_LOG_DIR' not in changes:
+        environment.pop('ROS_LOG_DIR', None)
+    if changes is OTHER_ROS:
+        environment['PYTHONPATH'] = str(tmp_path)
     done = subprocess.run(
         [sys.executable, '-m', *command],
         cwd=ROOT,
         capture_output=True,
         text=True,
         encoding='utf-8',
-        env={**environment, 'ROS_DOMAIN_ID': str(domain_id), **changes},
+        env=environment,
     )
     assert done.returncode == code, done.stderr
     lines = [line for line in done.stderr.splitlines() if '[rcl]' not in line]
-    assert len(lines) == (code != 0) and re.search(text, done.stderr)
+    assert len(lines) == int(code != 0)
+    assert re.search(text, done.stderr)
 
 
 @pytest.mark.ros
@@ -75,12 +70,7 @@ def test_odd_environment_does_no_harm_or_is_named_in_one_line(
 )
 def test_node_prints_its_help_and_refuses_unknown_arguments(argument, code, text):
     done = subprocess.run(
-        [
-            sys.executable,
-            '-m',
-            'multicontact_control.nodes.noise_estimator_node',
-            argument,
-        ],
+        [sys.executable, '-m', ESTIMATOR, argument],
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -4,11 +4,10 @@ from collections import Counter
 import json
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph import ignore_message
+from multicontact_control.nodes.graph import create_publisher, ignore_message
 from multicontact_control.paths import find_config_folder
 import pytest
 from ros_graph import end_of, wait_for
-from sensor_msgs.msg import JointState
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -22,15 +21,23 @@ FILES = {
 }
 
 
+def subscribe(middleware, topic):
+    return middleware.node.create_subscription(
+        topic.message, topic.name, ignore_message, qos.INPUT
+    )
+
+
+def variances(status):
+    """Return the variances among the values of a status [N^2]."""
+    values = [x.value for x in status.values if x.key.endswith('noise_variance_n2')]
+    return [float(value) for value in values]
+
+
 def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be_restarted(
     middleware,
 ):
-    commands, diagnostics = (
-        middleware.node.create_subscription(
-            topic.message, topic.name, ignore_message, qos.INPUT
-        )
-        for topic in (topics.EFFORT_COMMAND, topics.DIAGNOSTICS)
-    )
+    commands = subscribe(middleware, topics.EFFORT_COMMAND)
+    diagnostics = subscribe(middleware, topics.DIAGNOSTICS)
 
     def start(module, *parameters, flags=('--autostart',)):
         return middleware.start(
@@ -46,18 +53,12 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 
         def satisfied():
             message = middleware.take(diagnostics)
-            seen.extend(
-                x for x in (message.status if message else ()) if x.name == part
-            )
+            if message is not None:
+                seen.extend(each for each in message.status if each.name == part)
             return seen and condition(seen[-1])
 
         wait_for(satisfied, f'{part} as wanted', lambda: seen[-1:])
         return variances(seen[-1])
-
-    def variances(status):
-        return [
-            float(x.value) for x in status.values if x.key.endswith('noise_variance_n2')
-        ]
 
     def commanded():
         """Wait for commands of newer samples."""
@@ -65,15 +66,15 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 
         def enough():
             message = middleware.take(commands)
-            stamps.update(
-                [messages.stamp_to_ns(message.header.stamp)] if message else []
-            )
+            if message is not None:
+                stamps.add(messages.stamp_to_ns(message.header.stamp))
             return len(stamps) > 20
 
         middleware.take(commands)
         wait_for(enough, 'commands')
 
-    inputs, contacts = 'controller_node: inputs', 'controller_node: contacts'
+    inputs = 'controller_node: inputs'
+    contacts = 'controller_node: contacts'
     start(SIM, 'lockstep:=false', flags=())
     controller = start(CONTROLLER)
     estimator = start(ESTIMATOR)
@@ -83,9 +84,12 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
     estimator.wait()
     report(inputs, lambda x: 'the last R is held' in x.message)
     commanded()
-    first, later = (report(contacts, lambda x: True) for _ in range(2))
-    assert len(first) == 2 and min(first) > 0.0
-    assert later == first != [0.6, 0.6]
+    first = report(contacts, lambda x: True)
+    later = report(contacts, lambda x: True)
+    assert len(first) == 2
+    assert min(first) > 0.0
+    assert first != [0.6, 0.6]
+    assert later == first
     start(ESTIMATOR)
     report(inputs, lambda x: 'the last R is held' not in x.message)
     controller.kill()
@@ -98,12 +102,8 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 def test_simulator_times_a_command_from_the_first_sending_of_its_sample(
     middleware, tmp_path
 ):
-    samples = middleware.node.create_subscription(
-        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore_message, qos.INPUT
-    )
-    commands = middleware.node.create_publisher(
-        JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile
-    )
+    samples = subscribe(middleware, topics.JOINT_STATES)
+    commands = create_publisher(middleware.node, topics.EFFORT_COMMAND)
     path = tmp_path / 'sim.json'
     sim = middleware.start(
         SIM,
@@ -114,10 +114,9 @@ def test_simulator_times_a_command_from_the_first_sending_of_its_sample(
     sent = Counter()
     while sim.poll() is None:
         if sample := middleware.take(samples):
-            sent[sample.header.stamp.nanosec] += 1
-            if sent[sample.header.stamp.nanosec] >= len(
-                sent
-            ):  # the second one: not at once
+            stamp = sample.header.stamp.nanosec
+            sent[stamp] += 1
+            if sent[stamp] >= len(sent):  # the second one: not at once
                 commands.publish(sample)  # its effort is the torque that holds the arm
         middleware.pause()
     assert sim.returncode == 0, end_of(sim)

@@ -29,10 +29,10 @@ def make_plant():
     """Build plants of the PUMA from a preset with nested changes, and close them afterwards."""
     plants = []
 
-    def make(preset='rigid', *, seed=0, surfaces=None, **changes):
+    def make(preset='rigid', *, seed=0, rate=500.0, surfaces=None, **changes):
         both = {'surfaces': dict.fromkeys(('table', 'board'), surfaces or {})}
         config = plant_config(preset, **merge(both, changes))
-        plant = Plant(config, rate=500.0, seed=seed)
+        plant = Plant(config, rate=rate, seed=seed)
         plants.append(plant)
         return plant
 

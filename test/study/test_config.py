@@ -1,6 +1,7 @@
 """A study's file: what it may say, what a user chooses of it, and the runs it makes."""
 
 from itertools import product
+from operator import itemgetter
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.study.cells import plan_runs
@@ -12,8 +13,10 @@ from multicontact_control.study.config import (
 import pytest
 import yaml
 
-STIFFNESS, DELAY = 'plant.surfaces.*.stiffness', 'plant.actuator_delay_ticks'
-ESTIMATOR, DAMPING = 'noise_estimator.estimator', 'controller.force.damping_rate'
+STIFFNESS = 'plant.surfaces.*.stiffness'
+DELAY = 'plant.actuator_delay_ticks'
+ESTIMATOR = 'noise_estimator.estimator'
+DAMPING = 'controller.force.damping_rate'
 STUDY = {
     'name': 'one',
     'scenario': 'step',
@@ -109,14 +112,14 @@ def test_bad_file_parameter_or_value_is_refused_before_anything_runs(
 
 def list_factors(cells, *names):
     """Return the values of some factors of each run."""
-    return [tuple(cell.factors[name] for name in names) for cell in cells]
+    pick = itemgetter(*names)
+    return [pick(cell.factors) for cell in cells]
 
 
 def test_cells_are_every_combination_with_every_seed_on_every_plant(read):
     cells = plan_cells(read(plants=['rigid', 'puma']))
-    assert list_factors(cells, 'plant', DELAY, ESTIMATOR, 'seed') == [
-        *product(('rigid', 'puma'), (0, 2), ('fixed', 'lead_window'), (0, 1))
-    ]
+    every = product(('rigid', 'puma'), (0, 2), ('fixed', 'lead_window'), (0, 1))
+    assert list_factors(cells, 'plant', DELAY, ESTIMATOR, 'seed') == [*every]
     assert len({cell.key for cell in cells}) == 16
     for cell in cells:
         assert cell.key == cell.job.key()
@@ -135,15 +138,14 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
         'sets': STIFFNESS,
         'multiples_of': 'controller.contacts.*.stiffness',
     }
-    study = read(
-        parts={
-            'grid': {},
-            'one': {'factors': {DAMPING: [30.0], DELAY: [3]}, 'seeds': [7]},
-            'never': {'where': {'plant.drives': 'flexible'}},
-            'soft': {'factors': {'ratio': ratio}},
-        }
-    )
-    cells = plan_cells(study, seed=(0,), **read_choices([f'{ESTIMATOR}=fixed']))
+    parts = {
+        'grid': {},
+        'one': {'factors': {DAMPING: [30.0], DELAY: [3]}, 'seeds': [7]},
+        'never': {'where': {'plant.drives': 'flexible'}},
+        'soft': {'factors': {'ratio': ratio}},
+    }
+    fixed = read_choices([f'{ESTIMATOR}=fixed'])
+    cells = plan_cells(read(parts=parts), seed=(0,), **fixed)
     assert list_factors(cells, 'part', DELAY, DAMPING, 'ratio', 'seed') == [
         ('grid', 0, 100.0, 1.0, 0),
         ('grid', 2, 100.0, 1.0, 0),
@@ -162,9 +164,9 @@ def test_adjustment_holds_where_its_condition_does(read):
     study = read(
         plants=['rigid', 'puma'], factors={}, seeds=1, adjustments=[adjustment]
     )
-    rigid, flexible = (cell.job.setup().controller.force for cell in plan_cells(study))
-    assert rigid.damping_rate == 30.0
-    assert flexible.damping_rate == 100.0
+    setups = [cell.job.setup() for cell in plan_cells(study)]
+    rates = [setup.controller.force.damping_rate for setup in setups]
+    assert rates == [30.0, 100.0]
 
 
 LEVELS = {'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}}
@@ -172,10 +174,9 @@ LEVELS = {'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}}
 
 def test_user_chooses_plants_seeds_and_values(read):
     choices = read_choices(['level=b', f'{DAMPING}=20, 60'])
-    chosen = apply_choices(
-        read(factors=LEVELS), {'seed': (5,), **choices}, robot='panda'
-    )
-    cells = plan_runs(chosen)
+    choices['seed'] = (5,)
+    study = read(factors=LEVELS)
+    cells = plan_runs(apply_choices(study, choices, robot='panda'))
     assert list_factors(cells, 'level', DAMPING, 'plant', 'seed') == [
         ('b', 20.0, 'panda/rigid', 5),
         ('b', 60.0, 'panda/rigid', 5),

@@ -38,11 +38,15 @@ def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(
     ]
     keys = [job.key() for job in variants]
     assert len(set(keys)) == len(variants)
-    assert keys[0] == pickle.loads(pickle.dumps(variants[0])).key()
-    same = job_of(controller={'force': {'damping_rate': 100.0}})
-    assert same.key() == job_of(preset='best').key() == keys[0]
+    key = keys[0]
+    for same in (
+        pickle.loads(pickle.dumps(job_of())),
+        job_of(controller={'force': {'damping_rate': 100.0}}),
+        job_of(preset='best'),
+    ):
+        assert same.key() == key
     monkeypatch.setattr(jobs_module, 'hash_code', lambda: 'other code')
-    assert variants[0].key() != keys[0]
+    assert job_of().key() != key
 
 
 def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
@@ -52,8 +56,9 @@ def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
         run_jobs(by_key([*jobs, MortalJob(9, deadly=True)]), tmp_path, workers=2)
     results = run_jobs(by_key([*jobs, MortalJob(9)]), tmp_path, workers=2)
     for job in jobs:
-        assert results[job.key()]['process'] != os.getpid()
-        assert results[job.key()]['threads'] == '1'
+        result = results[job.key()]
+        assert result['process'] != os.getpid()
+        assert result['threads'] == '1'
     with pytest.raises(RunError, match='other code'):
         run_jobs({'job of other code': MortalJob(1)}, tmp_path, workers=1)
 
@@ -61,19 +66,20 @@ def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
 @pytest.mark.nightly
 def test_processes_and_cluster_give_the_results_of_this_process(tmp_path):
     distributed = pytest.importorskip('distributed')
-    folders = [tmp_path / name for name in ('here', 'there', 'cluster')]
-    for folder in folders:
-        prepare_folder(folder, overwrite=False)
     fault = FaultJob('quick', 'rigid', 'approach', 0, (((('nan', 'wrench'),), 1),))
     jobs = by_key([job_of(scenario='step', duration=1.6), fault])
-    here, there = (
-        run_jobs(jobs, folder, workers=i + 1) for i, folder in enumerate(folders[:2])
-    )
-    assert here == there
+
+    def run_in(name, **options):
+        folder = tmp_path / name
+        prepare_folder(folder, overwrite=False)
+        return run_jobs(jobs, folder, **options)
+
+    here = run_in('here', workers=1)
+    assert run_in('there', workers=2) == here
     with (
         distributed.LocalCluster(
             2, threads_per_worker=2, dashboard_address=None
         ) as cluster,
         jobs_module.dask_client(cluster.scheduler_address) as client,
     ):
-        assert run_jobs(jobs, folders[2], client=client) == here
+        assert run_in('cluster', client=client) == here

@@ -32,68 +32,53 @@ def study(name, law='', **choices):
     return make_study(apply_choices(config, choices))
 
 
-def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
+# Runs of a quick study on rigid drives.
+QUICK_RUNS = {'compare': 18, 'laws': 45, 'map': 64, 'delay': 14, 'faults': 12}
+
+
+def test_studies_of_the_package_are_read_and_named_where_one_is_misspelt():
     names = describe_files('studies')
-    assert {
-        'compare',
-        'laws',
-        'map',
-        'robots',
-        'tune',
-        'faults',
-        'delay',
-        'stiffness',
-        'situations',
-    } <= {*names}
+    assert {*QUICK_RUNS, 'robots', 'tune', 'stiffness', 'situations'} <= {*names}
     for name in names:
         assert read_study(name).name == name
-    for name, count in {
-        'compare': 18,
-        'laws': 45,
-        'map': 64,
-        'delay': 14,
-        'faults': 12,
-    }.items():
-        file = read_study(name)
-        cells = study(
-            name, **{'seed': file.seeds[:1], **file.quick, 'plant': ('rigid',)}
-        ).plan_cells()
-        assert len({cell.key for cell in cells}) == count
-    with pytest.raises(
-        ConfigError, match=rf'^study: expected one of {", ".join(names)}'
-    ):
+    expected = ', '.join(names)
+    with pytest.raises(ConfigError, match=f'^study: expected one of {expected}'):
         read_study('stifness')
 
 
+@pytest.mark.parametrize('name', list(QUICK_RUNS))
+def test_quick_studies_of_the_package_are_shorter(name):
+    file = read_study(name)
+    choices = {'seed': file.seeds[:1], **file.quick, 'plant': ('rigid',)}
+    cells = study(name, **choices).plan_cells()
+    assert len({cell.key for cell in cells}) == QUICK_RUNS[name]
+
+
 def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter():
-    cells = study('compare', plant=('puma',), seed=(0,)).plan_cells()
-    setups = {
-        (cell.factors['part'], cell.factors['estimator']): cell.job.setup()
-        for cell in cells
-    }
-    labels = {label for part, label in setups if part == 'active state'}
-    assert labels == {*NOISE_ESTIMATORS, 'window rescaled', 'innovation matched'}
-    usual = setups['active state', 'lead_window']
+    setups = {}
+    for cell in study('compare', plant=('puma',), seed=(0,)).plan_cells():
+        if cell.factors['part'] == 'active state':
+            setups[cell.factors['estimator']] = cell.job.setup()
+    assert {*setups} == {*NOISE_ESTIMATORS, 'window rescaled', 'innovation matched'}
+    usual = setups['lead_window']
+    rescaled = setups['window rescaled'].noise_estimator
+    matched = setups['innovation matched'].controller.force
     config = usual.noise_estimator
     f = design_lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
-    gain = f.gain**2 * (
-        1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole**2)
-    )  # of white noise
-    rescaled, matched = (
-        setups['active state', label]
-        for label in ('window rescaled', 'innovation matched')
-    )
-    assert rescaled.noise_estimator.variance_scale == pytest.approx(gain, rel=1e-12)
-    assert matched.controller.force.process_noise == pytest.approx(
-        usual.controller.force.process_noise / gain, rel=1e-12
-    )
+    feedthrough = (f.pole - f.zero) ** 2 / (1.0 - f.pole**2)
+    white_noise_gain = f.gain**2 * (1.0 + feedthrough)
+    process_noise = usual.controller.force.process_noise / white_noise_gain
+    assert rescaled.variance_scale == pytest.approx(white_noise_gain, rel=1e-12)
+    assert matched.process_noise == pytest.approx(process_noise, rel=1e-12)
 
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():
     declared = read_yaml(find_config_folder() / 'tuning.yaml')
     assert set(declared) == set(FORCE_LAWS)
     for law, ranges in declared.items():
-        ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
+        ends = {}
+        for name, values in ranges.items():
+            ends[name] = [values[0], values[-1]]
         cells = plan_runs(apply_choices(study('tune', law).config, ends))
         assert 2 <= len(cells) <= 2 ** len(ranges)
         assert {cell.factors['seed'] for cell in cells} == {0}
@@ -136,64 +121,63 @@ def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
 
 @pytest.mark.slow
 def test_row_of_a_fault_does_not_depend_on_the_faults_before_it():
-    job = FaultJob(
-        'quick',
-        'rigid',
-        'approach',
-        0,
-        (((('nan', 'wrench'),), 1), ((('biased', 'wrench'),), 5)),
-    )
-    later = FaultJob('quick', 'rigid', 'rest', 0, (((('nan', 'wrench'),), 1),))
-    fresh = [piece.run() for piece in (later, job)]
-    assert [piece.run() for piece in (job, later)] == fresh[::-1]
+    missing = ((('nan', 'wrench'),), 1)
+    biased = ((('biased', 'wrench'),), 5)
+    job = FaultJob('quick', 'rigid', 'approach', 0, (missing, biased))
+    later = FaultJob('quick', 'rigid', 'rest', 0, (missing,))
+    later_first = later.run()
+    after_later = job.run()
+    assert job.run() == after_later
+    assert later.run() == later_first
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_one_fault_of_every_kind_is_safe(tmp_path, plant):
-    results = run_study(
-        study('faults', seed=(20,), plant=(plant,)), tmp_path, console=QUIET
-    )
-    frame = results.frame
-    assert frame['safe'].all() and len(frame) == len(FAULTS) + 12
-    # Pairs of faults are recovered from later.
-    assert frame[~frame['back']]['pair'].ne('').all() and (~frame['back']).sum() <= 3
+    few = study('faults', seed=(20,), plant=(plant,))
+    frame = run_study(few, tmp_path, console=QUIET).frame
+    assert frame['safe'].all()
+    assert len(frame) == len(FAULTS) + 12
+    late = frame[~frame['back']]
+    assert late['pair'].ne('').all()  # pairs of faults are recovered from later
+    assert len(late) <= 3
 
 
-def test_every_situation_has_one_seed_and_is_of_a_robot_that_has_what_it_takes():
+def plan_keys(**choices):
+    """Return the keys of the situations that are chosen."""
+    return [cell.key for cell in study('situations', **choices).plan_cells()]
+
+
+def test_every_situation_has_one_seed():
     """Whatever else is chosen: a share of one seed is the same share, as is that of a robot."""
-    chosen = {'robot': ('ur5', 'foreign'), 'part': ('stiffness',)}
-    every = [cell.key for cell in study('situations', **chosen).plan_cells()]
-    by_seed = [
-        cell.key
-        for seed in range(4)
-        for cell in study('situations', seed=(seed,), **chosen).plan_cells()
-    ]
-    assert (
-        sorted(by_seed) == sorted(set(every)) and len(every) == 15
-    )  # of two contacts: one arm
-    alone = study('situations', **{**chosen, 'robot': ('ur5',)}).plan_cells()
-    assert {cell.key for cell in alone} < set(every)
+    chosen = {'part': ('stiffness',), 'robot': ('ur5', 'foreign')}
+    every = plan_keys(**chosen)
+    by_seed = []
+    for seed in range(4):
+        by_seed += plan_keys(seed=(seed,), **chosen)
+    assert sorted(by_seed) == sorted(set(every))
+    assert len(every) == 15  # of two contacts: one arm
+    assert set(plan_keys(part=('stiffness',), robot=('ur5',))) < set(every)
+
+
+def test_situations_are_tried_on_the_drives_that_a_robot_has():
     tilted = study(
         'situations',
         robot=('ur5', 'panda'),
         part=('tilted surface',),
         speed=('0.1 m/s',),
         tilt=('3 deg',),
-    ).plan_cells()
-    assert [(cell.factors['robot'], cell.factors['plant']) for cell in tilted] == [
-        ('ur5', 'rigid'),
-        ('panda', 'rigid'),
-        ('panda', 'flexible'),
-    ]
+    )
+    factors = [cell.factors for cell in tilted.plan_cells()]
+    assert [each['robot'] for each in factors] == ['ur5', 'panda', 'panda']
+    assert [each['plant'] for each in factors] == ['rigid', 'rigid', 'flexible']
 
 
 def test_robot_that_is_not_installed_is_named_and_the_others_are_run(monkeypatch):
     monkeypatch.setattr(situations, 'find_means', not_installed)
     one = study('situations', robot=('fr3',), part=('payload',))
-    assert not one.plan_cells() and one.missing == {
-        'fr3': 'urdf: expected the package x, got none'
-    }
+    assert not one.plan_cells()
+    assert one.missing == {'fr3': 'urdf: expected the package x, got none'}
 
 
 def not_installed(name):
@@ -205,7 +189,8 @@ def test_a_quarter_of_the_situations_is_safe(tmp_path):
     """On every arm that is installed; `multicontact study situations` has all of them."""
     results = run_study(study('situations', seed=(0,)), tmp_path, console=QUIET)
     frame = results.frame
-    assert len(frame) >= 200 and frame['part'].nunique() == 11
+    assert len(frame) >= 200
+    assert frame['part'].nunique() == 11
     unsafe = frame[~frame['safe']]
     assert unsafe.empty, unsafe[['part', 'robot', 'what', 'problems']].to_string()
 
@@ -264,27 +249,18 @@ def test_no_gains_are_the_best_where_none_are_stable():
 
 @pytest.mark.slow
 def test_best_gains_are_written_and_judged_on_other_seeds(tmp_path):
-    tried = study(
-        'tune',
-        'dob',
-        plant=('rigid',),
-        **{'controller.force.damping_rate': (40.0, 100.0)},
-    )
+    rate = 'controller.force.damping_rate'
+    tried = study('tune', 'dob', plant=('rigid',), **{rate: (40.0, 100.0)})
     for name, factor in tried.config.parts[''].factors.items():
-        if name != 'controller.force.damping_rate':
+        if name != rate:
             tried.config = apply_choices(tried.config, {name: factor.values[:1]})
     frame = run_study(tried, tmp_path, console=QUIET).frame
     assert frame['part'].tolist() == ['', '', *['on other seeds'] * 3]
-    assert frame['cost'][0] <= frame['cost'][1] and frame['seed'].tolist()[2:] == [
-        1,
-        2,
-        3,
-    ]
+    assert frame['cost'][0] <= frame['cost'][1]
+    assert frame['seed'].tolist()[2:] == [1, 2, 3]
     force = resolve('quick', preset=str(tmp_path / 'dob.yaml')).controller.force
-    assert (force.law, force.damping_rate) == (
-        'dob',
-        frame['controller.force.damping_rate'][0],
-    )
+    assert force.law == 'dob'
+    assert force.damping_rate == frame[rate][0]
 
 
 @pytest.mark.slow

@@ -40,6 +40,9 @@ GRAPH = {
 }
 
 
+TRACED = ['displacement', 'speed', 'acceleration', 'force_limit']
+
+
 class Surface:
     """A contact whose tip is where it is to be, in front of a spring."""
 
@@ -49,8 +52,10 @@ class Surface:
         self.records['stiffness'] = stiffness
         self.records['approach_speed'] = self.config.approach_speed
         self.settings = contacts.contact_settings(self.config, H)[0]
-        self.depth, self.stiffness = depth, stiffness
-        self.place, self.speed = 0.0, 0.0
+        self.depth = depth
+        self.stiffness = stiffness
+        self.place = 0.0
+        self.speed = 0.0
         self.states = [FREE]
 
     @property
@@ -66,7 +71,8 @@ class Surface:
         return self.contact['state'] in contacts.PRESSED
 
     def advance(self, wanted, alpha, asked, place, speed, escape):
-        self.records['wanted'], self.records['alpha_task'] = wanted, asked
+        self.records['wanted'] = wanted
+        self.records['alpha_task'] = asked
         contacts.advance_contact(
             self.contact, self.settings, alpha, place, speed, escape
         )
@@ -77,19 +83,14 @@ class Surface:
         """Return displacement, speed, acceleration and force limit of each tick."""
         trace = []
         for _ in range(round(seconds / H)):
-            force = (
-                alpha
-                if alpha is not None
-                else self.stiffness * max(self.place - self.depth, 0.0)
-            )
-            speed_now = self.speed if speed is None else speed
+            force = alpha
+            if alpha is None:
+                force = self.stiffness * max(self.place - self.depth, 0.0)
+            speed_now = speed
+            if speed is None:
+                speed_now = self.speed
             self.advance(wanted, force, asked, self.place, speed_now, speed_now)
-            trace.append(
-                [
-                    float(self.contact[name])
-                    for name in ('displacement', 'speed', 'acceleration', 'force_limit')
-                ]
-            )
+            trace.append(self.records[TRACED].tolist()[0])
             if not self.pressed:
                 self.place, self.speed = trace[-1][:2]
         return np.array(trace)
@@ -119,23 +120,32 @@ HISTORY = st.lists(
 )
 
 
+# Samples with too little force: more than 4 and 10 ms.
+LOW_BEFORE_LOSS = {HOLDING: 3, IMPACT: 6}
+
+
 @settings(max_examples=200, deadline=None)
 @given(history=HISTORY)
 def test_transitions_keep_to_the_graph_and_its_times_for_any_history_of_forces(history):
     surface = Surface(approach_distance=0.02, retry_time=0.05)
-    state, ticks, felt = FREE, 0, []
+    state = FREE
+    ticks = 0
+    too_low = []
     for length, wanted, alpha, asked, place, speed, escape, event in history:
         if event == 'release':
             contacts.release_contact(surface.contact, place, speed)
         elif event == 'retry':
             surface.contact['retry_requested'] = True
+        if event == 'release':
+            ticks = 0
         state = surface.state
-        ticks = 0 if event == 'release' else ticks
         for _ in range(length):
             surface.advance(wanted, alpha, asked, place, speed, escape)
-            before, state, contact = state, surface.state, surface.contact
-            ticks = ticks + 1
-            felt = [*felt[-5:], (alpha, max(0.5, 0.3 * asked))]
+            before = state
+            state = surface.state
+            contact = surface.contact
+            ticks += 1
+            too_low.append(alpha < max(0.5, 0.3 * asked))
             if alpha > 60.0 and wanted:
                 assert RETRACTING in (before, state)
             assert surface.pressed == (state in (IMPACT, HOLDING))
@@ -145,16 +155,14 @@ def test_transitions_keep_to_the_graph_and_its_times_for_any_history_of_forces(h
                 if state is IMPACT:
                     assert alpha > 1.5
                 if state is HOLDING:
-                    assert ticks * H >= 0.05 and alpha >= 0.5
+                    assert ticks * H >= 0.05
+                    assert alpha >= 0.5
                 if state is LOST and escape < 0.1:
-                    below = (
-                        3 if before is HOLDING else 6
-                    )  # samples: more than 4 and 10 ms
-                    assert len(felt) >= below and all(
-                        x < limit for x, limit in felt[-below:]
-                    )
-                if (before, state) == (APPROACHING, GIVEN_UP):
-                    assert contact['displacement'] - contact['search_start'] > 0.0099
+                    low = LOW_BEFORE_LOSS[before]
+                    assert too_low[-low:] == [True] * low
+                if before is APPROACHING and state is GIVEN_UP:
+                    searched = contact['displacement'] - contact['search_start']
+                    assert searched > 0.0099
                 ticks = 0
             if state in (IMPACT, HOLDING):
                 assert contact['acceleration'] == 0.0
@@ -166,13 +174,15 @@ def test_way_from_free_to_holding():
     surface = Surface()
     trace = surface.run(1.0)
     assert surface.states == [FREE, APPROACHING, IMPACT, HOLDING]
-    assert trace[:, 1].max() <= 0.02 + 1e-12
-    assert np.abs(trace[:, 2]).max() <= 0.02 / 0.5 + 1e-9
+    _, speed, acceleration, _ = trace.T
+    assert speed.max() <= 0.02 + 1e-12
+    assert np.abs(acceleration).max() <= 0.02 / 0.5 + 1e-9
     surface = Surface()
     surface.run(2.0, alpha=0.0)
     for state, limit in ((IMPACT, 2.0), (HOLDING, 15.0)):
         surface.run(0.04, alpha=3.0)
-        assert (surface.state, surface.contact['force_limit']) == (state, limit)
+        assert surface.state is state
+        assert surface.contact['force_limit'] == limit
 
 
 @pytest.mark.parametrize(
@@ -186,7 +196,8 @@ def test_short_dip_is_no_loss_and_a_sample_more_is_one(touched, dip, before):
     surface.run(dip, alpha=0.0)
     assert surface.state is before
     surface.run(H, alpha=0.0)
-    assert (surface.state, surface.contact['losses']) == (LOST, 1)
+    assert surface.state is LOST
+    assert surface.contact['losses'] == 1
 
 
 def test_lost_contact_returns_brakes_searches_and_gives_up():
@@ -197,10 +208,10 @@ def test_lost_contact_returns_brakes_searches_and_gives_up():
     surface.speed = 0.1
     trace = surface.run(3.0, alpha=0.0)
     assert surface.states[-3:] == [LOST, APPROACHING, GIVEN_UP]
-    late = trace[60:]
-    assert np.abs(late[:, 1]).max() <= 0.02 + 1e-9
-    assert late[:, 0].max() < origin + 0.0105
-    assert abs(trace[-1, 1]) < 1e-3
+    place, speed, _, _ = trace[60:].T
+    assert np.abs(speed).max() <= 0.02 + 1e-9
+    assert place.max() < origin + 0.0105
+    assert abs(speed[-1]) < 1e-3
 
 
 def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surface_again():
@@ -209,9 +220,11 @@ def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surfa
     surface.run(0.1, alpha=70.0)
     assert surface.state is RETRACTING
     trace = surface.run(7.0, alpha=0.0)  # beyond retry_time
+    place, speed, _, _ = trace.T
+    retracted = start - contacts.RETRACT_DISTANCE
     assert surface.state is GIVEN_UP
-    assert trace[-1, 0] == pytest.approx(start - contacts.RETRACT_DISTANCE, abs=2e-4)
-    assert np.abs(trace[:, 1]).max() <= 0.05 + 1e-9
+    assert place[-1] == pytest.approx(retracted, abs=2e-4)
+    assert np.abs(speed).max() <= 0.05 + 1e-9
     surface.contact['retry_requested'] = True
     surface.run(3.0)
     assert surface.state is HOLDING
@@ -245,35 +258,40 @@ class Asked:
             self.task.limits[0], self.controls[0], self.contacts, self.task.states
         )
         task = self.controls['task'][0].copy()
+        answer = self.contacts['answer'].copy()
         return SimpleNamespace(
             pose=Pose(task['position'], task['rotation']),
             twist=task['twist'],
             acceleration=task['acceleration'],
-            active=self.contacts['answer']['active'].copy(),
-            alpha_des=self.contacts['answer']['alpha_des'].copy(),
+            active=answer['active'],
+            alpha_des=answer['alpha_des'],
         )
 
 
 def gap(pose):
-    return np.concatenate([pose[0] - POSE[0], rotation_error(pose[1], POSE[1])])
+    """Return way and turn from the first pose, shape (6,)."""
+    way = pose.position_world - POSE.position_world
+    turn = rotation_error(pose.rotation_world, POSE.rotation_world)
+    return np.concatenate([way, turn])
+
+
+def command_motion(asked, position, quaternion, twist):
+    reading = MotionReading(
+        np.array(position), np.array(quaternion), twist, np.zeros(6)
+    )
+    asked.source.set_motion(reading, ())
 
 
 def test_task_keeps_the_pose_in_the_box_and_within_reach():
     asked = Asked(operational_speed=10.0, operational_turn=1.0)
-    asked.source.set_motion(
-        MotionReading(
-            np.array([0.0, 5.0, -5.0]),
-            np.array([1.0, 0, 0, 0]),
-            np.ones(6),
-            np.zeros(6),
-        ),
-        (),
-    )
+    command_motion(asked, [0.0, 5.0, -5.0], [1.0, 0.0, 0.0, 0.0], np.ones(6))
     for tick in range(3000):
         before = asked.controls['frame'][0].copy()
         out = asked.ask(H * tick)
         x, y, z = out.pose.position_world
-        assert -0.6 <= x <= 0.6 and 0.2 <= y <= 0.9 and 0.3 <= z <= 1.2
+        assert -0.6 <= x <= 0.6
+        assert 0.2 <= y <= 0.9
+        assert 0.3 <= z <= 1.2
         turn = rotation_error(out.pose.rotation_world, before['rotation'])
         assert np.linalg.norm(turn) <= 2.0 / 30.0 * (1.0 + 1e-9)
         assert asked.limited
@@ -305,19 +323,18 @@ def test_task_is_caught_up_with_slowly_after_a_pause(away, speed):
         asked.stay(pose)
         gaps.append(gap(pose))
     np.testing.assert_allclose(gaps[0], gap(away), atol=2e-3)
-    assert np.abs(np.diff(gaps, axis=0)).max() <= speed * H + 1e-9
+    steps = np.diff(gaps, axis=0)
+    assert np.abs(steps).max() <= speed * H + 1e-9
     assert np.abs(gaps[-1]).max() < 1e-4
 
 
 def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
+    reference = ReferenceConfig(
+        approach=ApproachConfig(start_time=100.0),
+        motion=SineConfig(start_time=0.0, amplitude=0.02),
+    )
     motion = ScenarioTask(
-        ReferenceConfig(
-            approach=ApproachConfig(start_time=100.0),
-            motion=SineConfig(start_time=0.0, amplitude=0.02),
-        ),
-        rate=1.0 / H,
-        names=('table', 'board'),
-        leading_columns=(0, 1),
+        reference, rate=1.0 / H, names=('table', 'board'), leading_columns=(0, 1)
     )
     asked = Asked(motion)
     here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
@@ -328,9 +345,10 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
     for time in (1.1, 1.6):
         out = asked.ask(time)
         np.testing.assert_array_equal(out.pose.position_world, here.position_world)
-        assert not any(
-            x.any() for x in (out.twist, out.acceleration, out.active, out.alpha_des)
-        )
+        assert not out.twist.any()
+        assert not out.acceleration.any()
+        assert not out.active.any()
+        assert not out.alpha_des.any()
     asked.stay(Pose(before, np.eye(3)))
     asked.task.set_hold(False)
     # From rest, with a bounded acceleration.
@@ -341,21 +359,14 @@ def test_what_is_wanted_stands_beside_what_is_controlled():
     """A pose beyond the box, and a force of a contact that is not felt yet."""
     asked = Asked()
     asked.source.set_forces({'table': 5.0})
-    asked.source.set_motion(
-        MotionReading(
-            np.array([0.0, 5.0, 0.6]),
-            np.array([0.0, 0, 0, 1.0]),
-            np.zeros(6),
-            np.zeros(6),
-        ),
-        (),
-    )
+    command_motion(asked, [0.0, 5.0, 0.6], [0.0, 0.0, 0.0, 1.0], np.zeros(6))
     out = asked.ask(0.0)
     assert asked.controls['wanted'][0]['position'][1] == 5.0
     assert out.pose.position_world[1] < 0.9
     np.testing.assert_array_equal(asked.contacts['alpha_wanted'], [5.0, 0.0])
     np.testing.assert_array_equal(asked.contacts['wanted'], [True, False])
-    assert not out.active.any() and not out.alpha_des.any()
+    assert not out.active.any()
+    assert not out.alpha_des.any()
 
 
 def test_states_are_told_anew_only_when_one_has_changed():

@@ -3,16 +3,11 @@
 from multicontact_control.supervision.contacts import GIVEN_UP
 import numpy as np
 import pytest
-from supervision.test_doubt import advance, make_loop, without_wrench
-from supervision.test_recovery import pressing
+from supervision.test_doubt import advance, make_loop
+from supervision.test_recovery import pressing, with_wrench, without_wrench
 
 H = 0.002
-
-
-def with_wrong_wrench(inputs):
-    return inputs._replace(
-        wrench=inputs.wrench._replace(wrench=np.full(6, np.nan)),
-    )
+with_wrong_wrench = with_wrench(lambda wrench: np.nan * wrench)
 
 
 def test_time_of_the_task_goes_on_with_samples_and_stands_still_in_a_reaction():

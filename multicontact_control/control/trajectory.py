@@ -1,0 +1,651 @@
+"""
+Paths of the operational point through timed poses, kept within limits by slowing down.
+
+A trajectory has pieces, one between each pair of neighbouring points. Position and turn of a
+piece are polynomials of degree 5 in its own time, so that speed and acceleration go on from piece
+to piece; to evaluate one takes the polynomials of one piece.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping
+import math
+from typing import NamedTuple
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.config import LimitsConfig
+from multicontact_control.contact.geometry import project_on_contacts
+from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.errors import CommandError
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+AXES = 'position x', 'position y', 'position z'
+# Peaks of b' and b'' of a quintic over a duration of 1.
+QUINTIC_SPEED = 15.0 / 8.0
+QUINTIC_ACCELERATION = 10.0 / math.sqrt(3.0)
+RAMP_TIME = (
+    0.5  # s, in which a path that does not begin or end at rest is started or stopped
+)
+RAMP_RATE = (
+    1.5  # the largest rate of a ramp's speed, over a duration and to a speed of 1
+)
+LEAD_IN_SHARE = (
+    0.2  # of the limits, with which the arm goes to a first point without a time
+)
+SURFACE_DISTANCE = 0.005  # m that a path may lead out of a surface that is pressed...
+LARGEST_SINE = 0.5  # ...or the sine of the angle to it: some surfaces are tilted
+BOX_MARGIN = (
+    1e-3  # m beyond the workspace box, that a spline may swing between its points
+)
+REST_SPEED = 1e-9  # m/s or rad/s, below which an end of a path is at rest
+NO_WAY = 1e-9  # m or rad, up to which the arm is at the first point already
+LARGEST_TURN = 2.9  # rad between two points; half a turn could go either way
+QUATERNION_TOLERANCE = 0.01  # of its length from 1
+# How much longer than asked for a path may take; beyond, its times are taken for a mistake.
+LARGEST_SLOWDOWN = 100.0
+LIMIT_SHARE = 0.99  # of a limit, for what lies between the instants that are looked at
+INSTANTS = 13  # of each piece, that are looked at
+RAMP_INSTANTS = 301  # of a ramp, between which its inverse is interpolated
+SMALL_ANGLE = (
+    0.03  # rad, below which the factors of a rotation vector come from their series
+)
+
+
+class TimedPoses(NamedTuple):
+    """
+    Points of a path of the operational point in world axes, k of them.
+
+    Without twists, a spline goes through the points.
+    """
+
+    times: Vector  # from the start on, rising, shape (k,) [s]
+    positions_world: Matrix  # shape (k, 3) [m]
+    quaternions_xyzw: Matrix  # shape (k, 4)
+    twists_world: Matrix | None = None  # linear first, shape (k, 6) [m/s, rad/s]
+
+
+class PathState(NamedTuple):
+    """Where a path is at one time, in world axes, and how it moves there."""
+
+    pose: Pose
+    twist_world: Vector  # linear first, shape (6,) [m/s, rad/s]
+    acceleration_world: Vector  # shape (6,) [m/s^2, rad/s^2]
+
+
+class RampedTime(NamedTuple):
+    """
+    The time along a path that is started and stopped smoothly.
+
+    It advances by 0 to 1 seconds in each second. A start that lasts t_r takes it t_r / 2 forwards,
+    with the rate 3 x^2 - 2 x^3, x = t / t_r; the stop is its mirror image.
+    """
+
+    length: float  # of the path, in its own time [s]
+    start: float  # duration of the start, at most `length` [s]
+    stop: float  # duration of the stop [s]
+
+    @property
+    def duration(self) -> float:
+        """Return how long it takes along the whole path [s]."""
+        return self.length + 0.5 * (self.start + self.stop)
+
+    def advance(self, time: float) -> tuple[float, float, float]:
+        """Return the time along the path [s], its rate, and how fast this changes [1/s]."""
+        if time <= 0.0:
+            return 0.0, 0.0, 0.0
+        remaining = self.duration - time
+        if remaining <= 0.0:
+            return self.length, 0.0, 0.0
+        if time < self.start:
+            way, rate, change = _advance_ramp(time, self.start)
+            return way, rate, change
+        if remaining < self.stop:
+            way, rate, change = _advance_ramp(remaining, self.stop)
+            return self.length - way, rate, -change
+        return time - 0.5 * self.start, 1.0, 0.0
+
+    def find_times(self, path_times: Vector) -> Vector:
+        """Return when times along the path are reached, shape (k,) [s]."""
+        shares = np.linspace(0.0, 1.0, RAMP_INSTANTS)
+        stops = self.duration - self.stop * shares[::-1]
+        times = np.concatenate([self.start * shares, stops])
+        reached = [self.advance(time)[0] for time in times.tolist()]
+        return np.interp(path_times, reached, times)
+
+
+def _advance_ramp(time: float, duration: float) -> tuple[float, float, float]:
+    """Return way, rate and its change of a start after a time; see `RampedTime`."""
+    x = time / duration
+    way = duration * x**3 * (1.0 - 0.5 * x)
+    return way, x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / duration
+
+
+class Trajectory:
+    """
+    A way from a pose at rest to the first of some timed poses, and through all of them to rest.
+
+    The arm goes straight to the first point and rests there: in the time of this point, or longer
+    where the limits ask for it; at time 0, with a fifth of the limits. From there on the points
+    are passed at their times. Between them goes a cubic spline of natural ends; where twists are
+    given, a quintic with these twists, whose accelerations at inner points are the means of what
+    cubics on both sides have, and 0 at the ends. An end that is not at rest is ramped over half a
+    second, which the points after the first are passed half of that later. A path that is too fast
+    for the limits is slowed down as a whole.
+
+    Parameters
+    ----------
+    start
+        Pose of the operational frame at rest that it begins from.
+    points
+        Which `check_points` accepts.
+    limits
+        Those of the operational point.
+
+    Attributes
+    ----------
+    duration
+        From start to rest [s].
+    passing_times
+        When each point is passed, shape (k,) [s].
+    slowdown
+        How many times longer the path takes than was asked for, at least 1.
+
+    Raises
+    ------
+    CommandError
+        If the path would have to be slowed down a hundredfold; it names the point.
+
+    """
+
+    def __init__(self, start: Pose, points: TimedPoses, limits: LimitsConfig) -> None:
+        self._beginnings: list[float] = []  # of the pieces, in path time [s]
+        self._coefficients: list[
+            Matrix
+        ] = []  # powers 0 to 5, position and rotation vector
+        self._rotations: list[Matrix] = []  # at the beginning of each piece
+        first_time = float(points.times[0])
+        first_pose = Pose.from_quaternion(
+            points.positions_world[0], points.quaternions_xyzw[0]
+        )
+        self._lead_in = self._add_lead_in(start, first_pose, first_time, limits)
+        self._clock = RampedTime(0.0, 0.0, 0.0)
+        self.slowdown = 1.0
+        if len(points.times) > 1:
+            self._add_path(points, limits)
+        self._turning = [bool(piece[:, 3:].any()) for piece in self._coefficients]
+        self._polynomials = [_add_derivatives(piece) for piece in self._coefficients]
+        self.duration = self._lead_in + self.slowdown * self._clock.duration
+        passed = self._clock.find_times(points.times - first_time)
+        self.passing_times: Vector = self._lead_in + self.slowdown * passed
+
+    def _add_lead_in(
+        self, start: Pose, goal: Pose, time: float, limits: LimitsConfig
+    ) -> float:
+        """Add the way to the first point as the first piece; return how long it takes [s]."""
+        way = start.displacement_to(goal)
+        duration = max(time, shortest_motion_duration(way, limits))
+        if time == 0.0:
+            duration /= LEAD_IN_SHARE
+        if np.abs(way).max() <= NO_WAY:
+            duration = time
+        duration = max(duration, NO_WAY)
+        turn = way[3:] @ start.rotation_world  # in the frame that it begins in
+        rest = np.zeros((1, 6))
+        coefficients = quintic_coefficients(
+            np.array([duration]),
+            (
+                np.concatenate([start.position_world, np.zeros(3)])[np.newaxis],
+                rest,
+                rest,
+            ),
+            (np.concatenate([goal.position_world, turn])[np.newaxis], rest, rest),
+        )
+        self._beginnings.append(-duration)
+        self._coefficients.append(coefficients[0])
+        self._rotations.append(start.rotation_world)
+        return duration
+
+    def _add_path(self, points: TimedPoses, limits: LimitsConfig) -> None:
+        """Add the pieces between the points, and find how slow the limits ask for."""
+        times = points.times - points.times[0]
+        durations = np.diff(times)
+        rotations = Rotation.from_quat(points.quaternions_xyzw)
+        matrices = rotations.as_matrix()
+        turns = (
+            rotations[:-1].inv() * rotations[1:]
+        ).as_rotvec()  # in the frame before
+        ways = np.empty((len(durations), 6))
+        ways[:, :3] = np.diff(points.positions_world, axis=0)
+        ways[:, 3:] = rotations[:-1].apply(turns)
+        if points.twists_world is None:
+            twists, accelerations = _spline_derivatives(times, points, rotations)
+        else:
+            twists = points.twists_world
+            accelerations = _mean_accelerations(durations, ways, twists)
+        start_rates = _turn_into_frames(twists[:-1], matrices[:-1])
+        start_changes = _turn_into_frames(accelerations[:-1], matrices[:-1])
+        end_rates = _turn_into_frames(twists[1:], matrices[:-1])
+        end_changes = _turn_into_frames(accelerations[1:], matrices[:-1])
+        for turn, rate, change in zip(turns, end_rates[:, 3:], end_changes[:, 3:]):
+            rate[:], change[:] = _rotation_vector_rates(turn, rate, change)
+        starts = np.zeros_like(ways)
+        starts[:, :3] = points.positions_world[:-1]
+        ends = np.hstack([points.positions_world[1:], turns])
+        coefficients = quintic_coefficients(
+            durations,
+            (starts, start_rates, start_changes),
+            (ends, end_rates, end_changes),
+        )
+        self._beginnings += times[:-1].tolist()
+        self._coefficients += list(coefficients)
+        self._rotations += list(matrices[:-1])
+        length = float(times[-1])
+        ramps = []
+        for twist in (twists[0], twists[-1]):
+            at_rest = np.abs(twist).max() <= REST_SPEED
+            if at_rest:
+                ramps.append(0.0)
+            else:
+                ramps.append(min(RAMP_TIME, length))
+        self._clock = RampedTime(length, *ramps)
+        self.slowdown = self._find_slowdown(coefficients, times, limits)
+
+    def _find_slowdown(
+        self, coefficients: Matrix, times: Vector, limits: LimitsConfig
+    ) -> float:
+        """Return by how much the path is to be slowed down for the limits, at least 1."""
+        durations = np.diff(times)
+        x = durations[:, np.newaxis] * np.linspace(
+            0.0, 1.0, INSTANTS
+        )  # (k - 1, INSTANTS)
+        powers = np.stack([x**power for power in range(6)], axis=-1)
+        polynomials = np.array([_add_derivatives(piece) for piece in coefficients])
+        values, rates, changes = np.split(powers @ polynomials, 3, axis=-1)
+        _check_box(values[..., :3], limits)
+        clock = self._clock
+        path_times = times[:-1, np.newaxis] + x
+        ramp_rates = np.zeros_like(x)
+        for duration, is_ramped in (
+            (clock.start, path_times < 0.5 * clock.start),
+            (clock.stop, clock.length - path_times < 0.5 * clock.stop),
+        ):
+            if duration > 0.0:
+                ramp_rates[is_ramped] = RAMP_RATE / duration
+        speed, turn = _sizes(rates)
+        acceleration, turn_acceleration = _sizes(changes)
+        acceleration += ramp_rates * speed
+        # The Jacobian of a rotation vector is none longer than 1, and its rate is bounded.
+        angle = _sizes(values)[1]
+        turn_acceleration += ramp_rates * turn + 0.5 * angle * turn**2
+        needed = np.maximum(
+            np.maximum(
+                speed / limits.operational_speed, turn / limits.operational_turn
+            ),
+            np.sqrt(
+                np.maximum(
+                    acceleration / limits.operational_acceleration,
+                    turn_acceleration / limits.operational_turn_acceleration,
+                )
+            ),
+        )
+        piece_needs = needed.max(axis=1) / LIMIT_SHARE
+        worst = int(np.argmax(piece_needs))
+        slowdown = float(piece_needs[worst])
+        if slowdown > LARGEST_SLOWDOWN:
+            raise CommandError(
+                f'point {worst + 1}: time',
+                f'at least {durations[worst] * slowdown / LARGEST_SLOWDOWN:.3g} s after the '
+                'point before',
+                f'{durations[worst]:.3g} s',
+                hint='a path that is too fast is slowed down as a whole, at most a hundredfold',
+            )
+        return max(1.0, slowdown)
+
+    def evaluate(self, time: float) -> PathState:
+        """Return where the path is at a time since its start [s]: at rest before and after it."""
+        since_lead_in = time - self._lead_in
+        slow_rate = 1.0 / self.slowdown
+        if since_lead_in < 0.0:
+            path_time = max(since_lead_in, -self._lead_in)
+            rate = 1.0
+            change = 0.0
+        else:
+            path_time, rate, change = self._clock.advance(since_lead_in * slow_rate)
+            rate *= slow_rate
+            change *= slow_rate * slow_rate
+        piece = bisect_right(self._beginnings, path_time) - 1
+        x = path_time - self._beginnings[piece]
+        x2 = x * x
+        x3 = x2 * x
+        x4 = x2 * x2
+        powers = np.array((1.0, x, x2, x3, x4, x4 * x))
+        values = powers @ self._polynomials[piece]
+        value = values[:6]
+        first = values[6:12]
+        second = values[12:]
+        twist = rate * first
+        acceleration = rate * rate * second + change * first
+        rotation = self._rotations[piece]
+        if self._turning[piece]:
+            in_frame = _turning_columns(
+                value[3:].tolist(), first[3:].tolist(), second[3:].tolist()
+            )
+            in_world = rotation @ np.array(in_frame)
+            rotation = in_world[:, :3]
+            turn_rate = in_world[:, 3]
+            twist[3:] = rate * turn_rate
+            acceleration[3:] = rate * rate * in_world[:, 4] + change * turn_rate
+        return PathState(Pose(value[:3], rotation), twist, acceleration)
+
+
+def quintic_coefficients(
+    durations: Vector,
+    starts: tuple[Matrix, Matrix, Matrix],
+    ends: tuple[Matrix, Matrix, Matrix],
+) -> Matrix:
+    """
+    Return polynomials of degree 5 from values and two derivatives at both ends of each piece.
+
+    Parameters
+    ----------
+    durations
+        Of the k pieces, shape (k,) [s].
+    starts, ends
+        Values, rates and their changes, each of shape (k, m).
+
+    Returns
+    -------
+    Matrix
+        Coefficients of the powers 0 to 5 of the time since a piece began, shape (k, 6, m).
+
+    """
+    h = durations[:, np.newaxis]
+    value, rate, change = starts
+    end_value, end_rate, end_change = ends
+    missing = (end_value - value - rate * h - 0.5 * change * h**2) / h**3
+    missing_rate = (end_rate - rate - change * h) / h**2
+    missing_change = (end_change - change) / h
+    return np.stack(
+        [
+            value,
+            rate,
+            0.5 * change,
+            10.0 * missing - 4.0 * missing_rate + 0.5 * missing_change,
+            (-15.0 * missing + 7.0 * missing_rate - missing_change) / h,
+            (6.0 * missing - 3.0 * missing_rate + 0.5 * missing_change) / h**2,
+        ],
+        axis=1,
+    )
+
+
+def _add_derivatives(coefficients: Matrix) -> Matrix:
+    """Return coefficients, (6, m), with those of the two derivatives beside them, (6, 3 m)."""
+    first = np.zeros_like(coefficients)
+    second = np.zeros_like(coefficients)
+    powers = np.arange(1.0, 6.0)[:, np.newaxis]
+    first[:-1] = powers * coefficients[1:]
+    second[:-1] = powers * first[1:]
+    return np.hstack([coefficients, first, second])
+
+
+def _spline_derivatives(
+    times: Vector, points: TimedPoses, rotations: Rotation
+) -> tuple[Matrix, Matrix]:
+    """Return twists and accelerations of splines at their points, world axes, shape (k, 6)."""
+    positions = CubicSpline(times, points.positions_world, bc_type='natural')
+    turning = RotationSpline(
+        times, rotations
+    )  # its rates are those of the body in its axes
+    twists = np.hstack([positions(times, 1), rotations.apply(turning(times, 1))])
+    accelerations = np.hstack([positions(times, 2), rotations.apply(turning(times, 2))])
+    return twists, accelerations
+
+
+def _mean_accelerations(durations: Vector, ways: Matrix, twists: Matrix) -> Matrix:
+    """Return means of what cubics on both sides of inner points have, 0 at the ends, (k, 6)."""
+    h = durations[:, np.newaxis]
+    at_starts = (6.0 * ways / h - 4.0 * twists[:-1] - 2.0 * twists[1:]) / h
+    at_ends = (-6.0 * ways / h + 2.0 * twists[:-1] + 4.0 * twists[1:]) / h
+    accelerations = np.zeros_like(twists)
+    accelerations[1:-1] = 0.5 * (at_ends[:-1] + at_starts[1:])
+    return accelerations
+
+
+def _turn_into_frames(rates_world: Matrix, rotations: Matrix) -> Matrix:
+    """Return twists or accelerations, (k, 6), with the turning in the axes of k rotations."""
+    rates = rates_world.copy()
+    rates[:, 3:] = np.einsum('kji,kj->ki', rotations, rates_world[:, 3:])
+    return rates
+
+
+def _check_box(positions_world: Matrix, limits: LimitsConfig) -> None:
+    """Refuse pieces that swing out of the workspace box between their points: CommandError."""
+    for axis, lower, upper in zip(
+        range(3), limits.workspace_lower, limits.workspace_upper
+    ):
+        places = positions_world[..., axis]
+        beyond = np.maximum(lower - places, places - upper).max(axis=1)
+        if beyond.max() > BOX_MARGIN:
+            index = int(np.argmax(beyond > BOX_MARGIN))
+            raise CommandError(
+                f'point {index + 1}: {AXES[axis]} on the way from the point before',
+                f'{lower:g} to {upper:g} m',
+                f'{1e3 * beyond[index]:.3g} mm beyond',
+                hint='set points closer together where the path turns',
+            )
+
+
+def _sizes(rates: Matrix) -> tuple[Matrix, Matrix]:
+    """Return the lengths of linear and angular parts, from shape (..., 6) to two of (...)."""
+    linear = np.linalg.norm(rates[..., :3], axis=-1)
+    angular = np.linalg.norm(rates[..., 3:], axis=-1)
+    return linear, angular
+
+
+def _rotation_vector_rates(
+    theta: Vector, omega: Vector, alpha: Vector
+) -> tuple[Vector, Vector]:
+    """Return d theta and dd theta of a turn with an angular speed and acceleration."""
+    rest = [0.0, 0.0, 0.0]
+    axes = np.eye(3).tolist()
+    turning = [_turning_columns(theta.tolist(), axis, rest) for axis in axes]
+    jacobian = np.array(turning)[:, :, 3].T  # omega = jacobian d theta
+    rate = np.linalg.solve(jacobian, omega)
+    without_change = np.array(_turning_columns(theta.tolist(), rate.tolist(), rest))
+    return rate, np.linalg.solve(jacobian, alpha - without_change[:, 4])
+
+
+def _turning_columns(
+    theta: list[float], rate: list[float], change: list[float]
+) -> tuple[tuple[float, ...], ...]:
+    """
+    Return rotation, angular speed and acceleration of a rotation vector, as rows of (3, 5).
+
+    With phi = |theta|, K the cross product with theta, A = (1 - cos phi) / phi^2 and
+    B = (phi - sin phi) / phi^3: R = I + sin phi / phi K + A K^2, omega = J d theta with
+    J = I + A K + B K^2, alpha = J dd theta + dJ d theta.
+    """
+    x, y, z = theta
+    dx, dy, dz = rate
+    ex, ey, ez = change
+    square = x * x + y * y + z * z
+    phi = math.sqrt(square)
+    if phi < SMALL_ANGLE:
+        S = 1.0 - square / 6.0 * (1.0 - square / 20.0)
+        A = 0.5 - square / 24.0 * (1.0 - square / 30.0)
+        B = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0)
+        dA = -1.0 / 12.0 + square / 180.0  # A' / phi
+        dB = -1.0 / 60.0 + square / 1260.0  # B' / phi
+    else:
+        sine = math.sin(phi)
+        cosine = math.cos(phi)
+        S = sine / phi
+        A = (1.0 - cosine) / square
+        B = (phi - sine) / (square * phi)
+        dA = (phi * sine - 2.0 * (1.0 - cosine)) / (square * square)
+        dB = (3.0 * sine - phi * (2.0 + cosine)) / (square * square * phi)
+    # theta x d theta, and theta x that; the same of dd theta
+    ux, uy, uz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+    vx, vy, vz = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+    px, py, pz = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
+    qx, qy, qz = y * pz - z * py, z * px - x * pz, x * py - y * px
+    along = x * dx + y * dy + z * dz
+    a = dA * along
+    b = dB * along
+    alpha_x = ex + A * px + B * (qx + dy * uz - dz * uy) + a * ux + b * vx
+    alpha_y = ey + A * py + B * (qy + dz * ux - dx * uz) + a * uy + b * vy
+    alpha_z = ez + A * pz + B * (qz + dx * uy - dy * ux) + a * uz + b * vz
+    return (
+        (
+            1.0 - A * (y * y + z * z),
+            A * x * y - S * z,
+            A * x * z + S * y,
+            dx + A * ux + B * vx,
+            alpha_x,
+        ),
+        (
+            A * x * y + S * z,
+            1.0 - A * (x * x + z * z),
+            A * y * z - S * x,
+            dy + A * uy + B * vy,
+            alpha_y,
+        ),
+        (
+            A * x * z - S * y,
+            A * y * z + S * x,
+            1.0 - A * (x * x + y * y),
+            dz + A * uz + B * vz,
+            alpha_z,
+        ),
+    )
+
+
+def shortest_motion_duration(change: Vector, limits: LimitsConfig) -> float:
+    """Return the least time of a `quintic_blend` within limits [s] over a way, (6,) [m, rad]."""
+    distance = float(np.linalg.norm(change[:3]))
+    angle = float(np.linalg.norm(change[3:]))
+    return max(
+        _shortest_duration(
+            distance, limits.operational_speed, limits.operational_acceleration
+        ),
+        _shortest_duration(
+            angle, limits.operational_turn, limits.operational_turn_acceleration
+        ),
+    )
+
+
+def _shortest_duration(way: float, speed: float, acceleration: float) -> float:
+    """Return the least time of a `quintic_blend` over a way [s] with bounded derivatives."""
+    by_speed = QUINTIC_SPEED * way / speed
+    by_acceleration = math.sqrt(QUINTIC_ACCELERATION * way / acceleration)
+    return max(by_speed, by_acceleration)
+
+
+def check_position(position_world: Vector, limits: LimitsConfig) -> None:
+    """Refuse a position outside the workspace box, if any: CommandError names the axis."""
+    for name, x, lower, upper in zip(
+        AXES, position_world, limits.workspace_lower, limits.workspace_upper
+    ):
+        if not lower <= x <= upper:
+            raise CommandError(name, f'{lower:g} to {upper:g} m', f'{x:g} m')
+
+
+def check_points(points: TimedPoses, limits: LimitsConfig) -> None:
+    """
+    Refuse points that are no path: CommandError names the first such point, from 0 on.
+
+    There is a point, all numbers are finite, times rise from 0 or later, quaternions have unit
+    length and turn by less than half a turn, and positions are within the workspace box.
+    """
+    if len(points.times) == 0:
+        raise CommandError('points', 'at least one', 'none')
+    previous = None
+    for index, time in enumerate(points.times.tolist()):
+        place = f'point {index}'
+        position = points.positions_world[index]
+        quaternion = points.quaternions_xyzw[index]
+        numbers = [time, *position.tolist(), *quaternion.tolist()]
+        if points.twists_world is not None:
+            numbers += points.twists_world[index].tolist()
+        if not all(map(math.isfinite, numbers)):
+            raise CommandError(place, 'finite numbers', numbers)
+        length = math.hypot(*quaternion.tolist())
+        if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
+            raise CommandError(
+                f'{place}: quaternion', 'a length of 1', f'{quaternion.tolist()}'
+            )
+        if previous is None:
+            in_order = time >= 0.0
+            earliest = 'at least 0 s'
+        else:
+            in_order = time > points.times[index - 1]
+            earliest = (
+                f'more than {points.times[index - 1]:g} s, the time of the point before'
+            )
+        if not in_order:
+            raise CommandError(f'{place}: time', earliest, f'{time:g} s')
+        try:
+            check_position(position, limits)
+        except CommandError as error:
+            raise CommandError(
+                f'{place}: {error.field}', error.expected, error.got
+            ) from None
+        rotation = Rotation.from_quat(quaternion)
+        if previous is not None:
+            turn = float((previous.inv() * rotation).magnitude())
+            if turn > LARGEST_TURN:
+                raise CommandError(
+                    f'{place}: turn from the point before',
+                    f'at most {LARGEST_TURN:g} rad',
+                    f'{turn:.3g} rad',
+                )
+        previous = rotation
+
+
+def check_surfaces(
+    points: TimedPoses, start: Pose, columns: Mapping[str, Vector]
+) -> None:
+    """
+    Refuse a path that leads through surfaces that are pressed or sought, or off them.
+
+    Their contacts place the tool there, and a path has no effect. It may be off by what a tilted
+    or curved surface makes of it: up to 30 degrees as seen from the start, or 5 mm.
+
+    Parameters
+    ----------
+    points
+        Of the path.
+    start
+        Pose that it begins from.
+    columns
+        Of N by the name of the contact or couple, normals INTO the surfaces, shape (6,).
+
+    Raises
+    ------
+    CommandError
+        That names the first such point, from 0 on, and the contacts.
+
+    """
+    if not columns:
+        return
+    N = np.array(list(columns.values()))
+    inwards = N[:, :3].sum(axis=0)
+    for index, position in enumerate(points.positions_world):
+        way = np.zeros(6)
+        way[:3] = position - start.position_world
+        placed = project_on_contacts(way, N)[:3]
+        distance = float(np.linalg.norm(way))
+        depth = float(np.linalg.norm(placed))
+        if depth > max(SURFACE_DISTANCE, LARGEST_SINE * distance):
+            direction = 'through' if placed @ inwards > 0.0 else 'off'
+            angle = math.degrees(math.asin(min(1.0, depth / distance)))
+            raise CommandError(
+                f'point {index}',
+                f'at most {math.degrees(math.asin(LARGEST_SINE)):.0f} degrees or '
+                f'{1e3 * SURFACE_DISTANCE:g} mm out of the surfaces of {", ".join(columns)}',
+                f'{angle:.0f} degrees, {1e3 * depth:.3g} mm {direction} them',
+                hint='there the contacts place the tool until they are let go (0 N)',
+            )
