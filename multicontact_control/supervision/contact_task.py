@@ -428,10 +428,13 @@ def limit_task(
             others = 0.0
             for j in range(columns.shape[0]):
                 if j != i:
-                    along = dot(column.normal, columns[j].normal)
+                    along = dot(column.normal, columns[j].config.normal)
                     others += along * states[j].displacement_before
-            place = dot(column.normal, away) - others
-            speed = dot(column.normal, rate)
+            # The reference is displaced along the normal as told, so that a surface that is
+            # tilted moves the tool to no side.
+            along = dot(column.normal, column.config.normal)
+            place = (dot(column.normal, away) - others) / along
+            speed = dot(column.normal, rate) / along
             _advance_force(settings, frame, column, state, place, speed)
         else:  # its normal force comes before
             _advance_couple(settings, column, state, columns[first], states[first])
@@ -439,13 +442,33 @@ def limit_task(
         limit.changed = limit.changed or state.state != before
         if state.untared != 0.0 or state.resting_force != 0.0:
             limit.has_free_readings = True
-        shift = linear_combination(1.0, shift, state.displacement, column.normal)
+        told = column.config.normal
+        shift = linear_combination(1.0, shift, state.displacement, told)
         if not column.answer.active:
             column.answer.alpha_des = 0.0
-            add_scaled_vector(task.twist[:3], state.speed, column.normal)
-            add_scaled_vector(task.acceleration[:3], state.acceleration, column.normal)
+            add_scaled_vector(task.twist[:3], state.speed, told)
+            add_scaled_vector(task.acceleration[:3], state.acceleration, told)
     add_vector(task.position, shift)
+    for i in range(columns.shape[0]):
+        if columns[i].answer.active and columns[i].config.turn_limit > 0.0:
+            _lead_along_surface(columns[i], frame, task)
     return _limit_reference(limit, frame, task, columns) or catching_up
+
+
+@compiled
+def _lead_along_surface(column: Contact, frame: Frame, task: Task) -> None:
+    """
+    Lead a task along a surface whose normal is estimated, moved along its normal as told.
+
+    The projection of the law would move it along the estimated normal: on a slope of angle a the
+    tool then lags behind its path by sin^2 a of the way.
+    """
+    told = column.config.normal
+    along = dot(column.normal, told)
+    gap = dot(column.normal, vector_between(frame.position, task.position))
+    add_scaled_vector(task.position, -gap / along, told)
+    for rate in (task.twist[:3], task.acceleration[:3]):
+        add_scaled_vector(rate, -dot(column.normal, rate) / along, told)
 
 
 @compiled
