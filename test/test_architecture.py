@@ -57,7 +57,7 @@ BUDGETS = {
     'dynamics': 6_600,
     'contact': 4_600,
     'force': 16_000,
-    'control': 13_300,
+    'control': 16_400,
     LOOP: 3_500,
     'supervision': 28_600,
     'diagnosis': 3_400,
