@@ -20,7 +20,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import CANCELLED, PushGate, PushTestConfig
-from multicontact_control.sensor.tool import compute_tare_bias, MAX_JOINT_SPEED
+from multicontact_control.sensor.tool import compute_tare_bias, MAX_REST_SPEED
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.input_checks import RECENT_WRENCHES
 from multicontact_control.supervision.inputs import TickInputs
@@ -372,10 +372,10 @@ class ControlLoop:
         oldest = self.time - (RECENT_WRENCHES - 0.5) * self.config.period
         readings, velocities = self.supervisor.inputs.recent_wrenches(oldest)
         fastest = np.abs(velocities.sum(axis=0)).max() / max(len(readings), 1)
-        if fastest > MAX_JOINT_SPEED:
+        if fastest > MAX_REST_SPEED:
             raise CommandError(
                 'joint speeds',
-                f'at most {MAX_JOINT_SPEED:g} rad/s',
+                f'at most {MAX_REST_SPEED:g} rad/s',
                 f'{fastest:.3g} rad/s',
             )
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]

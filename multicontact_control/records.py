@@ -365,6 +365,32 @@ class Task(Record, Protocol):
     acceleration: Annotated[Vector, 6]  # a_des [m/s^2, rad/s^2]
 
 
+class MotionObserverConfig(Record, Protocol):
+    """What is set for the observer of what disturbs the motion."""
+
+    # Of the twist's innovation, for the twist and for the disturbance [1/s]; 0 for no observer.
+    twist_gain: float
+    disturbance_gain: float
+
+    delay: int  # T_d, from a sample to the torque that answers it [periods]
+
+    # Of the way to the newest measured friction, per period; 0 for none that is fed forward.
+    friction_share: float
+
+
+class MotionObserver(Record, Protocol):
+    """What disturbs the motion of the operational point, world axes; one."""
+
+    config: MotionObserverConfig
+    running: bool  # whether the law has answered the sample before
+    twist_est: Annotated[Vector, 6]  # [m/s, rad/s]
+    disturbance: Annotated[Vector, 6]  # p [m/s^2, rad/s^2]
+    friction: Annotated[Vector, 6]  # of the contacts, low-passed [N, N m]
+
+    # u of the newest ticks, the last one newest [m/s^2, rad/s^2].
+    accelerations: Annotated[Matrix, MAX_DELAY_PERIODS + 1, 6]
+
+
 class Control(Record, Protocol):
     """All that the control law works on besides joints, contacts and observers; one."""
 
@@ -372,6 +398,7 @@ class Control(Record, Protocol):
     frame: Frame
     tool: Tool
     momentum: Momentum
+    motion_observer: MotionObserver
     wanted: Task  # what the source of the task asks for
 
     # What the motion law is asked for: that, as far as contacts and limits allow.

@@ -17,9 +17,9 @@ FORCE_LAWS = {
     'feedforward': 'multicontact_control.force.laws.feedforward:LAW',
 }
 NOISE_ESTIMATORS = {
-    'lead_window': 'multicontact_control.force.noise.window:LeadWindow',
-    'hf_window': 'multicontact_control.force.noise.window:HfWindow',
-    'window': 'multicontact_control.force.noise.window:Window',
+    'lead_window': 'multicontact_control.force.noise.window:LeadWindowEstimator',
+    'hf_window': 'multicontact_control.force.noise.window:HfWindowEstimator',
+    'window': 'multicontact_control.force.noise.window:WindowEstimator',
     'fixed': 'multicontact_control.force.noise.fixed:Fixed',
     'innovation': 'multicontact_control.force.noise.innovation:InnovationWindow',
     'sage_husa': 'multicontact_control.force.noise.sage_husa:SageHusa',

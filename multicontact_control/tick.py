@@ -8,6 +8,7 @@ from multicontact_control.arrays import Matrix
 from multicontact_control.compiled import compiled
 from multicontact_control.control.arm import ArmSpace, update_arm_state
 from multicontact_control.control.law import control_law, LawSpace
+from multicontact_control.control.motion_observer import observe_motion
 from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.flags import (
     ALARMS,
@@ -126,6 +127,7 @@ def tick(
     gate = records.gates[0]
     if limit_task(limit, control, contacts, records.states):
         found |= REFERENCE_LIMITED
+    observe_motion(control, joints, contacts, space.law.inertia, space.law.motion)
     found |= control_law(control, joints, terms, contacts, records.laws, space.law)
     if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
         return found

@@ -136,6 +136,7 @@ class SimNode(Node):
         if config.lockstep:
             self._period = np.inf
         self._misses = 0
+        self._reported_misses = 0
         self._slips = 0
         self._timeouts = 0
         self._due = 0  # when the newest sample was due [ns]
@@ -275,7 +276,7 @@ class SimNode(Node):
                 deadline += late
                 self._slips += 1
             if self._answered < self._tick:
-                self._count_miss()
+                self._misses += 1
             self._tick += 1
             if self._delay_ticks > 0:
                 torque = self._delay.torque_for(self._tick)
@@ -285,10 +286,6 @@ class SimNode(Node):
             self._diagnostics.poll()
         # The last sample deserves its answer, too.
         self._spin_until_answered(spinner, time.monotonic_ns() + LAST_ANSWER_TIME)
-
-    def _count_miss(self) -> None:
-        self._misses += 1
-        self._watch.missed += 1
 
     def _acting_torque(self, torque: Vector) -> Vector:
         """Return the torque that acts: the commanded one, or what the drives do without."""
@@ -373,7 +370,7 @@ class SimNode(Node):
         """Publish a new sample; the clock of its latency starts here."""
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
-        self._watch.add_period(now)
+        self._watch.add_turn(now)
         self._send_sample()
 
     def _send_sample(self) -> None:
@@ -435,7 +432,7 @@ class SimNode(Node):
         self._watch.latencies.add(latency)
         # The node was late itself, and has not counted this deadline.
         if tick == self._tick and latency > self._period:
-            self._count_miss()
+            self._misses += 1
 
     def _on_push(self, message: Vector3Stamped) -> None:
         with self._refusals.logging_refusals(topics.PUSH):
@@ -470,8 +467,11 @@ class SimNode(Node):
     def _component_statuses(self) -> list[diagnostics.ComponentStatus]:
         """Return what the diagnostics say of the loop, its input and the contacts."""
         wall = (time.monotonic_ns() - self._start) * 1e-9
+        misses = self._misses - self._reported_misses
+        self._reported_misses = self._misses
         loop = {
             **self._watch.report(),
+            'deadline_misses': misses,
             'ticks': self._tick + 1,
             'pace_slips': self._slips,
             'command_timeouts': self._timeouts,
@@ -479,8 +479,8 @@ class SimNode(Node):
             'realtime_factor': round(self._tick / self._config.rate / wall, 3),
         }
         warning = ''
-        if loop['deadline_misses']:
-            warning = f'{loop["deadline_misses"]} deadlines missed'
+        if misses:
+            warning = f'{misses} deadlines missed'
         consequence = ': the drives hold their position'
         if self._hold.posture is None:
             consequence = ': the last torque is held'

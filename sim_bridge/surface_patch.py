@@ -25,7 +25,6 @@ COLOURS = (
     (0.73, 0.78, 0.71),
     (0.80, 0.72, 0.75),
 )
-RATE = 25.0  # Hz, of surfaces that move
 
 Faces = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
@@ -142,7 +141,7 @@ class SurfaceMarkers:
     def __init__(self, config: PlantConfig, *, rate: float) -> None:
         surfaces = [config.surfaces[name] for name in config.drawn.values()]
         self._numbers = [config.met.index(name) for name in config.drawn.values()]
-        self._period = max(1, round(rate / RATE))  # ticks
+        self._period = max(1, round(rate / topics.MARKER_RATE))  # ticks
         self._moving = any(surface.velocity for surface in surfaces)
         self._message = MarkerArray()
         for number, (name, surface) in enumerate(zip(config.drawn, surfaces)):

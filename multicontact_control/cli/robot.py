@@ -80,7 +80,11 @@ class TiltOptions:
 
     tilt: Annotated[
         float,
-        typer.Option(help='Tilt of the tool to each side [deg].', min=5.0, max=90.0),
+        typer.Option(
+            help='Tilt of the tool to each side [deg].',
+            min=10.0,  # with less, four poses do not determine the tool
+            max=90.0,
+        ),
     ] = 25.0
     move_time: Annotated[
         float, typer.Option(help='Time from pose to pose [s].', min=0.1)

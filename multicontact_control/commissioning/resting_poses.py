@@ -6,14 +6,17 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from multicontact_control.arrays import find_true_stretches, Matrix, Vector
-from multicontact_control.config import ControllerConfig, ToolConfig
+from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, RunError
 from multicontact_control.runs.bag import BagColumns
-from multicontact_control.sensor.tool import compute_tare_bias, PoseReading
+from multicontact_control.sensor.tool import (
+    average_rest_readings,
+    MAX_REST_SPEED,
+    PoseReading,
+)
 import numpy as np
 
-LARGEST_REST_SPEED = 0.02  # rad/s, of any joint
 SPEED_TIME = 0.1  # s, over which the speed of a joint is taken
 SETTLE_TIME = 0.5  # s, of the beginning of a rest that is left out
 AVERAGE_TIME = 1.0  # s, the least over which readings are averaged
@@ -57,7 +60,6 @@ def list_quiet_poses(
 
     """
     names = arm.controller.robot.joint_names
-    gravity = np.array(arm.controller.robot.gravity_world)
     q = joints.values('position', names)
     readings = wrenches.values('wrench')
     if not np.isfinite(q).all():
@@ -77,15 +79,14 @@ def list_quiet_poses(
         felt = readings[(wrench_time >= begin) & (wrench_time <= end)]
         angles = q[at_rest].mean(axis=0)
         state = arm.robot.update(angles, np.zeros(arm.robot.joint_count))
-        rotation = state.sensor_pose.rotation_world
         rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
         try:
-            reading = compute_tare_bias(felt, rotation, ToolConfig(), gravity)
+            reading = average_rest_readings(felt)
         except CalibrationError as error:
             tell(f'{rest} left out: {error}')
             continue
         tell(rest)
-        poses.append(PoseReading(rotation, reading))
+        poses.append(PoseReading(state.sensor_pose.rotation_world, reading))
     return poses
 
 
@@ -105,7 +106,7 @@ def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
     # In a gap of the joint states the arm may have moved.
     known = np.diff(time, prepend=time[0]) <= SPEED_TIME
     rests = []
-    for begin, end in find_true_stretches((speed <= LARGEST_REST_SPEED) & known):
+    for begin, end in find_true_stretches((speed <= MAX_REST_SPEED) & known):
         start = float(time[begin]) + SETTLE_TIME
         stop = float(time[end - 1])
         if stop - start >= AVERAGE_TIME:

@@ -52,10 +52,10 @@ PER_JOINT = (
 
 class MotionConfig(Config):
     """
-    The PD motion law (P04 sec. 3.1, 5.2).
+    The PD motion law (P04 sec. 3.1, 5.2), and what is known of its disturbances.
 
-    f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x), with k_p = omega_n^2 and
-    k_v = 2 zeta omega_n.
+    f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x) - p, with k_p = omega_n^2 and
+    k_v = 2 zeta omega_n; p is the disturbance that an observer finds. As published there is none.
     """
 
     natural_frequency: float = parameter(
@@ -68,6 +68,24 @@ class MotionConfig(Config):
     )
     damping_ratio: float = parameter(
         1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0
+    )
+    observer_bandwidth: float = parameter(
+        60.0,
+        'Bandwidth of the observer of what disturbs the motion: joint friction, a wrong mass, '
+        'a wrong scale of the torques; 0 for none.',
+        unit='rad/s',
+        live=True,
+        ge=0.0,
+        le=200.0,
+    )
+    friction_time: float = parameter(
+        0.01,
+        'Time constant by which the measured friction of the contacts is fed forward; '
+        '0 for no feed-forward.',
+        unit='s',
+        live=True,
+        ge=0.0,
+        le=1.0,
     )
 
 

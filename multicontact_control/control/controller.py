@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from typing import NamedTuple, NoReturn
 
 from multicontact_control.algebra import quintic_blend
@@ -185,6 +186,7 @@ class Controller:
         """Set everything that follows from the configuration alone."""
         self.config = config
         self.controls['law'] = make_law_record(config)
+        self._set_motion_observer(config)
         is_input = config.wrench_input == 'momentum'
         self.controls['momentum']['config']['is_input'] = is_input
         joints = self.arm.joints['config']
@@ -193,6 +195,30 @@ class Controller:
         joints['torque_limit'] = config.torque_limit or np.inf
         joints['lower'] = config.limits.joint_lower or -np.inf
         joints['upper'] = config.limits.joint_upper or np.inf
+
+    def _set_motion_observer(self, config: ControllerConfig) -> None:
+        """Set the gains of the motion's observer; what is not observed any more is 0."""
+        motion = config.motion
+        pole = math.exp(-motion.observer_bandwidth * config.period)
+        observer = self.controls['motion_observer']
+        observer['config']['twist_gain'] = 1.0 - pole**2
+        observer['config']['disturbance_gain'] = (1.0 - pole) ** 2 / config.period
+        observer['config']['delay'] = round(config.force.input_delay / config.period)
+        if motion.observer_bandwidth == 0.0:
+            observer['running'] = False
+            observer['disturbance'] = 0.0
+        share = 0.0
+        # The wrench that the residual stands for has friction in the joints in it, too.
+        if motion.friction_time > 0.0 and config.wrench_input != 'momentum':
+            share = 1.0 - math.exp(-config.period / motion.friction_time)
+        observer['config']['friction_share'] = share
+
+    def pause_motion_observer(self) -> None:
+        """Forget what disturbs the motion: something else than the law moves the arm."""
+        observer = self.controls['motion_observer']
+        observer['running'] = False
+        observer['disturbance'] = 0.0
+        observer['friction'] = 0.0
 
     def _carry_tool(self, tool: ToolConfig) -> None:
         """Take a tool off the readings (by momentum they are without it), and bear its weight."""
@@ -214,6 +240,7 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self.started = False
+        self.pause_motion_observer()
         self._carry_tool(self.next_tool)
         self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0

@@ -19,6 +19,10 @@ from multicontact_control.contact.projections import (
     factorise_contacts,
 )
 from multicontact_control.contact.surfaces import follow_surfaces
+from multicontact_control.control.motion_observer import (
+    feed_friction_forward,
+    MotionSpace,
+)
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
     compute_mobility_and_inertia,
@@ -61,6 +65,7 @@ class LawSpace(Record, Protocol):
 
     projection: ContactProjection
     nullspace: NullspaceSpace
+    motion: MotionSpace
 
     along: Annotated[Vector, 6]  # Lambda^-1 N_i
     inputs: Annotated[Vector, MAX_COLUMNS]  # u of the force laws [m/s^2]
@@ -276,7 +281,9 @@ def control_law(
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
     ):
         return COLUMNS_DEPENDENT
+    observer = control.motion_observer
     apply_motion_law(law, control.task, frame, space.f_t)
+    add_scaled_vector(space.f_t, -1.0, observer.disturbance)
     answer_contact_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
         convert_to_coordinates(rows, inputs)
@@ -284,6 +291,7 @@ def control_law(
     follow_surfaces(frame, contacts)
     acceleration = space.acceleration
     compose_acceleration(projection, count, space.f_t, space.f_c, acceleration)
+    observer.accelerations[observer.accelerations.shape[0] - 1] = acceleration
     reduced = space.reduced[:n]  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
     for j in range(n):
         reduced[j] = joints[j].bias_torque
@@ -300,6 +308,7 @@ def control_law(
     for i in range(count):
         add_scaled_vector(force, contacts[i].answer.alpha_fed_forward, rows[i])
         add_scaled_vector(held, contacts[i].answer.alpha_fed_forward, rows[i])
+    feed_friction_forward(control, contacts, force, held, space.motion)
     for j in range(n):
         joints[j].answer.torque = 0.0
         joints[j].answer.priority = joints[j].bias_torque

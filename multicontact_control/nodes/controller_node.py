@@ -345,7 +345,7 @@ class ControllerNode(ManagedNode):
         if action in NEW_SAMPLE:
             self._report.samples += 1
         if action in WHOLE_SAMPLE:
-            self._report.watch.add_period(start)
+            self._report.watch.add_turn(start)
         if action in PUBLISHED and loop.output is not None:
             self._outputs.publish_tick(
                 self._timing.answered_stamp, self._timing.tick, loop.output

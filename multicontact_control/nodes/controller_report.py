@@ -342,10 +342,10 @@ class ControllerReport:
         """Yield rate, jitter and latency, and whether samples come as they should."""
         supervisor = self._loop.supervisor
         warnings = []
-        self.watch.missed = self._timing.skipped
+        unanswered = self._timing.skipped
         self._timing.skipped = 0
-        if self.watch.missed:
-            warnings.append(f'{self.watch.missed} samples without a command')
+        if unanswered:
+            warnings.append(f'{unanswered} samples without a command')
         if self._node.state == ACTIVE:
             warnings += [self._warn_of_unpaired_stamps(), self._warn_of_wrong_rate()]
         yield None
@@ -354,6 +354,7 @@ class ControllerReport:
             'loop',
             {
                 **statistics.result(),
+                'deadline_misses': unanswered,
                 'steps': self.watch.latencies.count,
                 'restarts': self.restarts,
                 'safe_behaviour': supervisor.safe,

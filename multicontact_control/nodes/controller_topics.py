@@ -66,7 +66,6 @@ STIFFNESS_SERIES = {  # only if the stiffness is found on-line
 
 # Of the arrows for viewers.
 MARKER_NAMESPACE = 'contact_forces'
-MARKER_RATE = 25.0  # Hz
 ARROW_SCALE = 0.01  # m/N
 # m: diameters of shaft and head, length of the head
 ARROW_SIZE = Vector3(x=0.008, y=0.016, z=0.02)
@@ -127,7 +126,7 @@ class ControllerOutputs:
         self._pose = StreamPublisher(node, topics.POSE, pose)
         self._pose_desired = StreamPublisher(node, topics.POSE_DESIRED, pose)
         self._markers = create_publisher(node, topics.CONTACT_MARKERS)
-        self._marker_ticks = max(1, round(config.rate / MARKER_RATE))
+        self._marker_ticks = max(1, round(config.rate / topics.MARKER_RATE))
 
     def publish_bare_efforts(self, torque: Vector) -> None:
         """Publish a torque, shape (n,) [N m], for ros2_control if that is asked for."""
@@ -136,7 +135,7 @@ class ControllerOutputs:
 
     def publish_tick(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """
-        Publish forces, innovations and poses of a tick, and arrows at `MARKER_RATE`.
+        Publish forces, innovations and poses of a tick, and arrows at `topics.MARKER_RATE`.
 
         Parameters
         ----------

@@ -19,14 +19,22 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-OUR_NODES = (CONTROLLER, ESTIMATOR)  # that publish inputs of other nodes
-PERIOD = NANOSECONDS  # ns, of the reports
-PAUSE = 5_000_000  # ns, between two steps of a report
+# Publishers of inputs that say themselves why they are silent. SIM, which stands for any robot, is
+# not one of them.
+SELF_REPORTING = (CONTROLLER, ESTIMATOR)
+PERIOD = NANOSECONDS  # ns, from report to report: one second
+PAUSE = (
+    5_000_000  # ns, between two steps of a report: samples of 500 Hz come in between
+)
 NO_STEP_LEFT = object()
-STALE_PERIODS = 25  # from which an input at the control rate is stale
-MISSING_AGE = 1.0  # s, from which an input that has come before is missed
-DISCOVERY_TIME = 3.0  # s, that the first message of an input may take
-CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
+STALE_PERIODS = (
+    25  # age of a stale input, in periods: more than a busy machine delays a message
+)
+MISSING_AGE = (
+    1.0  # s of silence that an operator should know of; a shorter one is in the report
+)
+DISCOVERY_TIME = 3.0  # s in which nodes that start together find each other
+CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz, 4 at 1 kHz
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
 
 
@@ -35,20 +43,23 @@ class ComponentStatus:
     """
     The status of a component of a node, e.g. ``loop``: one entry of a diagnostics message.
 
-    A warning or an error says what is not as it should be, what is expected and what was found;
-    the error counts where there are both.
+    A warning or an error names the fault, what is expected and what was found; the error counts
+    where there are both.
     """
 
     component: str
-    values: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # by key, as operators read them
+    # By key, for operators.
+    values: Mapping[str, Any] = field(default_factory=dict)
     warning: str = ''
     error: str = ''
 
 
 def build_status_message(name: str, status: ComponentStatus) -> DiagnosticStatus:
-    """Return the message of a component of a node with some name; numbers have 6 digits."""
+    """
+    Return the message with the status of a component, named after its node.
+
+    Numbers are written with 6 significant digits, None as ``none``.
+    """
     level = DiagnosticStatus.OK
     if status.error:
         level = DiagnosticStatus.ERROR
@@ -68,7 +79,9 @@ def build_status_message(name: str, status: ComponentStatus) -> DiagnosticStatus
 def _format_value(value: Any) -> str:
     if value is None:
         return 'none'
-    return f'{value:.6g}' if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f'{value:.6g}'
+    return str(value)
 
 
 def serialize_report(node: Node, statuses: Iterable[ComponentStatus]) -> bytes:
@@ -114,7 +127,7 @@ class DiagnosticsPublisher:
         self._steps: Iterator[None] | None = None  # of the report that is being made
 
     def restart(self) -> None:
-        """Drop the report that is being made: what it tells of has gone."""
+        """Drop the rest of the present report, if there is one, and wait until the next is due."""
         self._steps = None
         self._step_due = self._report_due
 
@@ -139,14 +152,19 @@ class DiagnosticsPublisher:
             if status is not None:
                 statuses.append(status)
         yield
-        message = yield from self._background.compute(
+        serialised = yield from self._background.compute(
             serialize_report, self._node, statuses
         )
-        self._publisher.publish(message.result())
+        self._publisher.publish(serialised.result())
 
 
 class DurationLog:
-    """Durations of a loop: the newest `CAPACITY` of them, and the `count` of all."""
+    """
+    Durations of a loop: the newest `CAPACITY` of them, and the `count` of all.
+
+    The loop adds durations while another thread reads: `skip` and `end`, two counts, choose the
+    durations that are read.
+    """
 
     def __init__(self) -> None:
         self._nanoseconds = np.zeros(CAPACITY, dtype=np.int64)
@@ -157,22 +175,24 @@ class DurationLog:
         self._nanoseconds[self.count % CAPACITY] = nanoseconds
         self.count += 1
 
-    def microseconds(self, since: int = 0) -> Vector:
-        """Return the durations that are kept, without the first `since` of all [us]."""
-        first = max(since, self.count - CAPACITY)
-        places = np.arange(first, self.count) % CAPACITY
+    def microseconds(self, skip: int = 0, end: int | None = None) -> Vector:
+        """Return what is kept of the first `end` durations without the first `skip` [us]."""
+        if end is None:
+            end = self.count
+        first = max(skip, end - CAPACITY)
+        places = np.arange(first, end) % CAPACITY
         return np.asarray(1e-3 * self._nanoseconds[places])
 
     def percentiles(
-        self, since: int = 0, expected: float = 0.0
+        self, skip: int = 0, end: int | None = None, *, expected: float = 0.0
     ) -> dict[str, float | None]:
         """
-        Return median, tails and maximum of the deviations from an `expected` duration [us].
+        Return median, tails and maximum of the absolute deviations from a duration [us].
 
-        Without an expected duration these are the durations themselves. All are None if there is
-        no duration behind the first `since`.
+        Without an `expected` duration [us] these are the durations themselves. `skip` and `end`
+        are as in `microseconds`; without a duration between them all are None.
         """
-        deviations = np.abs(self.microseconds(since) - expected)
+        deviations = np.abs(self.microseconds(skip, end) - expected)
         if not deviations.size:
             return dict.fromkeys(PERCENTILES)
         deviations.sort()  # np.percentile takes several times as long
@@ -186,13 +206,13 @@ class LoopStatistics:
     """
     Rate, jitter and latency of a loop that should run at `rate` [Hz], since the last report.
 
+    The loop adds turns and latencies while another thread may make the report.
+
     Attributes
     ----------
     intervals, latencies
         Durations between turns of the loop, and those that its node adds: from an input to the
         answer.
-    missed
-        Deadlines missed since the last report; its node counts them.
     last
         Time of the newest turn, monotonic time [ns]; 0 before the first.
 
@@ -202,35 +222,37 @@ class LoopStatistics:
         self._rate = rate
         self.intervals = DurationLog()
         self.latencies = DurationLog()
-        self.missed = self.last = 0
+        self.last = 0
         self._report_start = time.monotonic_ns()
-        self._reported_turns = self._reported_answers = 0
+        self._reported_turns = 0
+        self._reported_answers = 0
 
-    def add_period(self, now: int) -> None:
+    def add_turn(self, now: int) -> None:
         """Count a turn of the loop at a monotonic time [ns]."""
         if self.last:
             self.intervals.add(now - self.last)
         self.last = now
 
-    def report(self) -> dict[str, float | int | None]:
+    def report(self) -> dict[str, float | None]:
         """Return the statistics since the last call; jitter is the deviation from the period."""
+        # The loop may go on meanwhile: what it adds from now on is in the next report.
         now = time.monotonic_ns()
         turns = self.intervals.count
+        answers = self.latencies.count
         elapsed = max(1, now - self._report_start)
-        jitter = self.intervals.percentiles(self._reported_turns, 1e6 / self._rate)
-        latency = self.latencies.percentiles(self._reported_answers)
-        values: dict[str, float | int | None] = {
-            'rate_hz': round((turns - self._reported_turns) * NANOSECONDS / elapsed, 2),
-            'deadline_misses': self.missed,
-        }
+        jitter = self.intervals.percentiles(
+            self._reported_turns, turns, expected=1e6 / self._rate
+        )
+        latency = self.latencies.percentiles(self._reported_answers, answers)
+        rate = (turns - self._reported_turns) * NANOSECONDS / elapsed
+        values: dict[str, float | None] = {'rate_hz': round(rate, 2)}
         for name in ('p50', 'p99'):
             values[f'jitter_us_{name}'] = jitter[name]
         for name in ('p50', 'p99', 'max'):
             values[f'latency_us_{name}'] = latency[name]
         self._report_start = now
         self._reported_turns = turns
-        self._reported_answers = self.latencies.count
-        self.missed = 0
+        self._reported_answers = answers
         return values
 
 
@@ -238,8 +260,8 @@ class InputMonitor:
     """
     Knows when each input came last; logs inputs that are missing, and those that come again.
 
-    Our own nodes say themselves why they are silent: what they publish is missed only until it
-    has come once. The same holds for all inputs from a robot that may pause.
+    An input from one of our own nodes is logged as missing only if it has never come: a node that
+    falls silent says why itself. The same holds for all inputs from a robot that may pause.
 
     Parameters
     ----------
@@ -290,7 +312,7 @@ class InputMonitor:
 
         """
         values: dict[str, float | None] = {}
-        stale = []
+        warnings = []
         for topic in self.last:
             age = self.age(topic)
             values[f'age_s {topic.name}'] = age if age < math.inf else None
@@ -298,18 +320,18 @@ class InputMonitor:
                 continue
             self._log_change(topic, age > self.max_age)
             if age == math.inf:
-                stale.append(f'no {topic.name} ever')
+                warnings.append(f'no {topic.name} ever')
             elif age > self.max_age:
-                stale.append(f'no {topic.name} for {age:.3g} s')
-        warning = ', '.join(stale)
+                warnings.append(f'no {topic.name} for {age:.3g} s')
+        warning = ', '.join(warnings)
         if warning:
             warning += consequence
         return ComponentStatus('inputs', values, warning)
 
     def _log_change(self, topic: Topic, stale: bool) -> None:
-        """Log once that a topic is missing, and once that it comes again."""
+        """Log once that a stale topic is missing, and once that it comes, then or again."""
         if stale == (topic in self._logged_missing):
-            return  # the cause takes long to find out
+            return  # nothing new: the graph, which is slow to ask, is not asked
         if not stale:
             name = self._node.resolve_topic_name(topic.name)
             self._logged_missing.remove(topic)
@@ -326,11 +348,11 @@ class InputMonitor:
         """Return whether a stale topic has been silent so long that an operator should know."""
         if not self.last[topic]:
             return self._silence(topic) >= DISCOVERY_TIME
-        may_be_silent = self._may_pause or topic.publisher in OUR_NODES
+        may_be_silent = self._may_pause or topic.publisher in SELF_REPORTING
         return not may_be_silent and self._silence(topic) >= MISSING_AGE
 
     def _describe_missing(self, topic: Topic) -> str:
-        """Return what is found in the graph instead of a topic that is missing, and expected."""
+        """Return the log line of a missing topic: what the graph has of it, what is expected."""
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
         types = {publisher.topic_type for publisher in publishers} - {topic.type_name}
@@ -357,9 +379,13 @@ class InputMonitor:
         )
 
 
-def refusal_status(refusals: RefusalLog, **dropped: int) -> ComponentStatus:
-    """Return the status of messages: how many were refused, by cause, and how many dropped."""
-    values = {'refused': refusals.counts.total(), **dropped}
+def refusal_status(refusals: RefusalLog, **counts: int) -> ComponentStatus:
+    """
+    Return the status of messages: how many were refused, in all and by cause.
+
+    Further `counts` of a node, such as messages that it dropped, stand beside them by their names.
+    """
+    values = {'refused': refusals.counts.total(), **counts}
     for cause, count in refusals.counts.items():
         values[f'refused {cause}'] = count
     return ComponentStatus('messages', values)

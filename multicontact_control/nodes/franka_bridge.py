@@ -375,7 +375,7 @@ class FrankaBridge(Node):
         elif not self._problem and self._mode == 'Idle':
             if age <= self._config.late.command_age:
                 self._start_control()
-        self._watch.add_period(received)
+        self._watch.add_turn(received)
         sample = now // self._config.divider
         if sample != self._sample:
             self._sample = sample

@@ -106,7 +106,7 @@ class NoiseEstimatorNode(ManagedNode):
         received = time.monotonic_ns()
         answered = self._samples
         if topic is topics.MEASURED_FORCES:
-            self._watch.add_period(received)
+            self._watch.add_turn(received)
         if self.state == ACTIVE:
             with self.refusals.logging_refusals(topic):
                 self._take_in(topic, data)

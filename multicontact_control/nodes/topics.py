@@ -1,7 +1,7 @@
 """
 Every topic of the graph, once: what nodes publish, the recorder records, the gate waits for.
 
-All names are relative, so that a namespace moves the whole graph.
+All names but /clock are relative, so that a namespace moves the whole graph.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
+# Or what stands in its place: the driver of a robot, another simulator.
 SIM = 'sim_node'
 CONTROLLER = 'controller_node'
 ESTIMATOR = 'noise_estimator_node'
 RECORDER = 'recorder_node'
-USER = 'user'
+USER = 'user'  # a command of ours, a program or a person
 EVERY_NODE = 'every node'
 WORLD_FRAME = 'world'
+MARKER_RATE = 25.0  # Hz, of what a viewer is shown in motion
 
 
+# A profile has no hash: without eq=False a topic could not be a key.
 @dataclass(frozen=True, eq=False)
 class Topic:
     """
@@ -36,15 +39,17 @@ class Topic:
     The recorder subscribes to each, so that it is not among the subscribers here.
     """
 
-    name: str  # relative, that of the clock aside
-    message: Any  # class
-    publisher: str  # name of the node; `USER` for any, for which no node waits
-    # Nodes that always subscribe; the controller does to one of two wrenches.
+    name: str
+    message: type[Any]  # class of the messages, e.g. `JointState`
+    publisher: str  # name of a node; for a `USER` no node waits
+    # Nodes that always subscribe, for which the gate of the publisher waits. Beside them the
+    # controller reads one of two wrenches, and some noise estimators the innovation.
     subscribers: tuple[str, ...] = ()
     profile: QoSProfile = field(default_factory=lambda: qos.STREAM)  # of the publisher
-    # Once per control period, or now and then.
+    # One message per control period, of which the recorder counts losses; or now and then.
     rate: Literal['control', 'event'] = 'control'
-    content: str = ''  # of a message, for docs/reference
+    # Of a message: for docs/reference, and for the log where the topic is missing.
+    content: str = ''
 
     @property
     def type_name(self) -> str:
@@ -72,7 +77,7 @@ WRENCH_FILTERED = Topic(
     SIM,
     content="The same through the sensor's low-pass.",
 )
-# By `wrench_input`, where a wrench is read.
+# By `wrench_input`; with `momentum` no wrench is read.
 WRENCHES = {'raw': WRENCH, 'filtered': WRENCH_FILTERED}
 TRUE_FORCES = Topic(
     'ground_truth/contact_forces',
@@ -92,8 +97,9 @@ MEASURED_FORCES = Topic(
     JointState,
     CONTROLLER,
     (ESTIMATOR,),
-    content='name = contact, effort = measured force [N], position = 1 where the wrench is of '
-    'this sample, 0 where the force repeats the last reading.',
+    content='name = force or couple, as in every topic `contact_forces/*`; effort = measured '
+    'force [N], position = 1 where the wrench is of this sample, 0 where the force repeats the '
+    'last reading.',
 )
 ESTIMATED_FORCES = Topic(
     'contact_forces/estimated',
@@ -111,8 +117,8 @@ INNOVATION = Topic(
     'contact_forces/innovation',
     JointState,
     CONTROLLER,
-    content='effort = measured less predicted force [N], velocity = C P_1 C^T, position = the R '
-    'that was used [N²].',
+    content='effort = measured less predicted force [N], velocity = C P_1 C^T (variance of the '
+    'predicted force) and position = the R that was used [N²].',
 )
 STIFFNESS = Topic(
     'contact_forces/stiffness',
@@ -125,8 +131,9 @@ STABILITY_MARGIN = Topic(
     'contact_forces/stability_margin',
     JointState,
     CONTROLLER,
-    content='Likewise: position = true over modelled stiffness at most, effort = how many times '
-    'that the force loop would bear.',
+    content='Only if the stiffness is found on-line: position = upper bound (2 sigma) of true '
+    'over modelled stiffness, effort = factor by which that ratio may still grow before the force '
+    'loop is unstable.',
 )
 POSE = Topic(
     'operational_point/pose',
@@ -151,6 +158,7 @@ FORCE_COMMAND = Topic(
     'contact_forces/command',
     JointState,
     USER,
+    (CONTROLLER,),
     profile=qos.EVENT,
     rate='event',
     content='name, and effort = desired force per contact, or couple [N]; or position = centre of '
@@ -161,23 +169,23 @@ MOTION_COMMAND = Topic(
     'motion/command',
     MultiDOFJointTrajectoryPoint,
     USER,
+    (CONTROLLER,),
     profile=qos.EVENT,
     rate='event',
-    content='One transform: pose of the operational point in world axes, with a '
-    'quaternion of unit '
-    'length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number as '
-    'identifier, 0 for none.',
+    content='One transform: pose of the operational point in world axes, with a quaternion of '
+    'unit length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number '
+    'as identifier, 0 for none.',
 )
 PUSH = Topic(
     f'{SIM}/push',
     Vector3Stamped,
     USER,
+    (SIM,),
     profile=qos.EVENT,
     rate='event',
-    content='`~/push` of the simulator: a force in world axes [N], of 150 N at '
-    'most, that pushes the arm '
-    'for 0.8 s. header.frame_id = `tool` to push the tool beyond the wrist sensor, empty for the '
-    'operational point.',
+    content='`~/push` of the simulator: a force in world axes [N], of 150 N at most, that pushes '
+    'the arm for 0.8 s. header.frame_id = `tool` to push the tool beyond the wrist sensor, empty '
+    'for the operational point.',
 )
 STATUS = Topic(
     f'{CONTROLLER}/status',
@@ -185,9 +193,9 @@ STATUS = Topic(
     CONTROLLER,
     profile=qos.EVENT,
     rate='event',
-    content='`~/status` of the controller: whether each command with an identifier '
-    'is accepted, why one '
-    'is refused, each change of its state and of the forces that it obeys.',
+    content='`~/status` of the controller: the answer to each command that is refused or has an '
+    'identifier, each change of its state and of the forces that it obeys, and once a second the '
+    'newest state.',
 )
 ROBOT_DESCRIPTION = Topic(
     'robot_description',
@@ -203,7 +211,7 @@ CONTACT_MARKERS = Topic(
     CONTROLLER,
     profile=qos.EVENT,
     rate='event',
-    content='Per contact the measured force as an arrow at its tip, at 25 Hz.',
+    content=f'Per contact the measured force as an arrow at its tip, at {MARKER_RATE:g} Hz.',
 )
 SURFACE_MARKERS = Topic(
     'ground_truth/surfaces',
@@ -211,9 +219,8 @@ SURFACE_MARKERS = Topic(
     SIM,
     profile=qos.LATCHED,
     rate='event',
-    content='What can be touched, as only the simulator knows it, also for a '
-    'reader that comes late; '
-    '25 Hz if it moves.',
+    content='What can be touched, as only the simulator knows it, also for a reader that comes '
+    f'late; at {MARKER_RATE:g} Hz if it moves.',
 )
 DIAGNOSTICS = Topic(
     'diagnostics',
@@ -221,15 +228,13 @@ DIAGNOSTICS = Topic(
     EVERY_NODE,
     profile=qos.EVENT,
     rate='event',
-    content='Once a second: rates, jitter, misses, latency, ages of inputs, '
-    'refusals; of the controller '
-    'also publishers, reaction and causes, contact states and sensor.',
+    content='Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the '
+    'controller also publishers, reaction and causes, contact states and sensor.',
 )
 CLOCK = Topic(
-    '/clock',  # absolute
+    '/clock',
     Clock,
-    'sim_node in lockstep',
-    rate='event',
+    'sim_node in lockstep',  # not SIM: the recorder waits for no clock of another loop
     content='Time of the newest sample.',
 )
 

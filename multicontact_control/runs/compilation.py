@@ -157,22 +157,15 @@ def _compile_law() -> None:
 def _call_remaining_kernels() -> None:
     """Make numba compile all that is left, above all the tick."""
     from multicontact_control.force.force_law import continue_laws, make_force_laws
-    from multicontact_control.force.noise import make_noise_estimator
     from multicontact_control.force.stiffness import (
         estimate_stiffness,
         FIT_SPACE,
         friction_of_others,
     )
     from multicontact_control.records import CONTACT, FRAME
-    from multicontact_control.registry import NOISE_ESTIMATORS
     from multicontact_control.runs.closed_loop import run_in_process
     from multicontact_control.runs.scenario import resolve
 
-    quick = resolve('quick')
-    for estimator in NOISE_ESTIMATORS:
-        make_noise_estimator(
-            quick.noise_estimator.model_copy(update={'estimator': estimator})
-        )
     adaptive = resolve('quick', preset='adaptive').controller
     other_law = resolve('quick', preset='laws/dob').controller
     running = make_force_laws(adaptive)

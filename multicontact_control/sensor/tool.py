@@ -1,9 +1,10 @@
 """
 What hangs on the wrist sensor, and what the sensor reads of itself: weight, tare, identification.
 
-At rest the sensor reads f = -m g_s + b_f and tau = g_s x (m c) + b_tau, with g_s = R^T g gravity
-in its axes: linear in mass m, first moment m c and biases b. The bias stays as the sensor turns,
-the weight does not, which is what tells them apart.
+Wrenches are what the arm does to what it holds or touches: a hanging tool reads upwards. At rest
+the sensor reads f = -m g_s + b_f and tau = g_s x (m c) + b_tau, with g_s = R^T g gravity in its
+axes: linear in mass m, first moment m c and biases b. The bias stays as the sensor turns, the
+weight turns with gravity, which is what tells them apart.
 """
 
 from __future__ import annotations
@@ -17,14 +18,20 @@ from multicontact_control.config import ToolConfig
 from multicontact_control.errors import CalibrationError
 import numpy as np
 
-MIN_SAMPLES = 25  # readings of a tare
-MAX_FORCE_STD = 0.5  # N, of these readings, in an axis
+# The mean of as many readings of the largest deviation is known to 0.1 N.
+MIN_SAMPLES = 25
+# Largest standard deviation of the readings of an axis at rest: ten times the noise of a wrist
+# sensor, less than what a moving arm or a hand on the tool makes.
+MAX_FORCE_STD = 0.5  # N
 MAX_TORQUE_STD = 0.05  # N m
-MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts as bias
-MIN_POSES = 4
-MAX_POSES_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
-NOTHING_HANGS = 3.0  # standard errors below which a mass is none
-MAX_FORCE_RESIDUAL = 0.5  # N, rms of what a fit leaves of an axis
+# Of any joint of an arm at rest, so that no inertia counts as bias.
+MAX_REST_SPEED = 0.02  # rad/s
+MIN_POSES = 4  # three determine a tool, the fourth confirms it
+# Condition number: at 30, four of the five poses of `calibrate` suffice from a tilt of 9 degrees.
+MAX_POSES_CONDITION = 30.0
+SIGNIFICANT_ERRORS = 3.0  # standard errors from which a mass is told from none
+# Largest rms of the residuals of an axis: a wrong frame leaves about the weight of the tool.
+MAX_FORCE_RESIDUAL = 0.5  # N
 MAX_TORQUE_RESIDUAL = 0.05  # N m
 
 
@@ -32,7 +39,7 @@ class PoseReading(NamedTuple):
     """
     A reading at rest in one pose of the sensor, of which an identification takes several.
 
-    Its mean over a while, so that noise is small against the weight of the tool.
+    The mean over a second or so, whose noise is small against the weight of the tool.
     """
 
     rotation_world: Matrix  # orientation of the sensor, shape (3, 3)
@@ -45,12 +52,13 @@ class Identification:
 
     mass: float  # beyond the sensor [kg]
     mass_std: float  # its standard error [kg]
-    com_sensor: Vector  # centre of mass, sensor frame, 0 without mass, shape (3,) [m]
+    # Centre of mass, sensor frame, shape (3,) [m]; 0 where the mass is not significant.
+    com_sensor: Vector
     com_std: Vector  # its standard error, shape (3,) [m]
     bias_sensor: Vector  # reading under no load, force first, shape (6,) [N, N m]
     force_residual: float  # rms per axis of what the fit leaves [N]
     torque_residual: float  # the same [N m]
-    condition: float  # number of the equations, gravity taken as 1
+    condition: float  # number of the equations, weights [N] as unknowns
     poses: int
 
     def tool(self) -> ToolConfig:
@@ -76,6 +84,38 @@ def predict_weight_reading(
     return np.concatenate((force, np.cross(tool.com_sensor, force)))
 
 
+def average_rest_readings(wrenches_sensor: Matrix) -> Vector:
+    """
+    Return the mean of readings of a sensor at rest, force first, shape (6,) [N, N m].
+
+    The readings are in sensor axes, shape (k, 6) [N, N m].
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few readings, if they vary as those of a moving arm, or if one is not
+        finite.
+
+    """
+    if len(wrenches_sensor) < MIN_SAMPLES:
+        raise CalibrationError(
+            f'tare: expected at least {MIN_SAMPLES} readings, got {len(wrenches_sensor)}'
+        )
+    if not np.isfinite(wrenches_sensor).all():
+        raise CalibrationError('tare: expected finite readings, got NaN or infinity')
+    deviations = np.std(wrenches_sensor, axis=0)
+    force_std = deviations[:3].max()
+    torque_std = deviations[3:].max()
+    if force_std > MAX_FORCE_STD or torque_std > MAX_TORQUE_STD:
+        raise CalibrationError(
+            f'tare: expected readings at rest (standard deviation at most '
+            f'{MAX_FORCE_STD:g} N and {MAX_TORQUE_STD:g} N m), got '
+            f'{force_std:.3g} N and {torque_std:.3g} N m'
+        )
+    mean: Vector = wrenches_sensor.mean(axis=0)
+    return mean
+
+
 def compute_tare_bias(
     wrenches_sensor: Matrix,
     rotation_world: Matrix,
@@ -85,7 +125,8 @@ def compute_tare_bias(
     """
     Return the bias for `ToolConfig.bias_sensor`, by which the compensated reading is zero.
 
-    It holds in every pose. What touches the tool meanwhile is taken for bias.
+    The bias holds in every pose if mass and centre of `tool` are right, else in this one alone;
+    the bias that `tool` has does not matter. What touches the tool meanwhile is taken for bias.
 
     Parameters
     ----------
@@ -97,23 +138,10 @@ def compute_tare_bias(
     Raises
     ------
     CalibrationError
-        If there are too few readings, or they are restless or not finite.
+        As `average_rest_readings`.
 
     """
-    if len(wrenches_sensor) < MIN_SAMPLES:
-        raise CalibrationError(
-            f'tare: expected at least {MIN_SAMPLES} readings, got {len(wrenches_sensor)}'
-        )
-    if not np.isfinite(wrenches_sensor).all():
-        raise CalibrationError('tare: expected finite readings, got NaN or infinity')
-    restless = np.std(wrenches_sensor, axis=0).reshape(2, 3).max(axis=1)
-    if restless[0] > MAX_FORCE_STD or restless[1] > MAX_TORQUE_STD:
-        raise CalibrationError(
-            f'tare: expected readings at rest (standard deviation at most '
-            f'{MAX_FORCE_STD:g} N and {MAX_TORQUE_STD:g} N m), got '
-            f'{restless[0]:.3g} N and {restless[1]:.3g} N m'
-        )
-    mean: Vector = wrenches_sensor.mean(axis=0)
+    mean = average_rest_readings(wrenches_sensor)
     return mean - predict_weight_reading(rotation_world, tool, gravity_world)
 
 
@@ -123,8 +151,8 @@ def identify_tool(
     """
     Identify mass, centre of mass and bias by linear least squares.
 
-    The standard errors are those of the fit's own residuals. A mass below `NOTHING_HANGS` of its
-    standard error has no centre.
+    The standard errors are those of the fit's own residuals. A mass of less than
+    `SIGNIFICANT_ERRORS` standard errors gets no centre.
 
     Parameters
     ----------
@@ -136,33 +164,36 @@ def identify_tool(
     Raises
     ------
     CalibrationError
-        If there are too few poses or they are too similar, or if no tool makes such readings.
+        If there are too few poses or they are too similar, if a reading is not finite, if the mass
+        is negative, or if the residuals are larger than noise makes them.
 
     """
     poses = len(readings)
     if poses < MIN_POSES:
         raise CalibrationError(f'poses: expected at least {MIN_POSES}, got {poses}')
-    scale = float(np.sqrt(gravity_world @ gravity_world))
-    A, b = _equations(readings, gravity_world / scale)
+    gravity = float(np.sqrt(gravity_world @ gravity_world))
+    A, y = _build_equations(readings, gravity_world / gravity)
     condition = float(np.linalg.cond(A))
     if not condition <= MAX_POSES_CONDITION:
         raise CalibrationError(
             f'poses: expected orientations that tilt the tool differently (condition number at '
             f'most {MAX_POSES_CONDITION:g}), got {condition:.3g}'
         )
-    x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
-    left = (b - A @ x).reshape(-1, 2, 3)
+    solution: Vector = np.linalg.lstsq(A, y, rcond=None)[0].astype(float)
+    residuals = (y - A @ solution).reshape(-1, 2, 3)
+    squares = np.sum(residuals**2, axis=(0, 2))
     # Force and torque equations share no unknown: 4 and 6 of them, 3 equations each per pose.
-    variance = np.sum(left**2, axis=(0, 2)) / (3 * poses - np.array([4, 6]))
-    spread = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
-    mass = x[0] / scale
-    mass_std = spread[0] * np.sqrt(variance[0]) / scale
-    if mass < -NOTHING_HANGS * mass_std:
+    force_variance = squares[0] / (3 * poses - 4)
+    torque_variance = squares[1] / (3 * poses - 6)
+    error_gains = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+    mass = solution[0] / gravity
+    mass_std = error_gains[0] * np.sqrt(force_variance) / gravity
+    if mass < -SIGNIFICANT_ERRORS * mass_std:
         raise CalibrationError(
             f'mass: expected at least 0 kg, got {mass:.3g} kg; is the sign of the sensor '
             'flipped?'
         )
-    force_residual, torque_residual = np.sqrt(np.mean(left**2, axis=(0, 2))).tolist()
+    force_residual, torque_residual = np.sqrt(squares / (3 * poses)).tolist()
     if force_residual > MAX_FORCE_RESIDUAL or torque_residual > MAX_TORQUE_RESIDUAL:
         raise CalibrationError(
             f'residual: expected at most {MAX_FORCE_RESIDUAL:g} N and {MAX_TORQUE_RESIDUAL:g} '
@@ -171,16 +202,16 @@ def identify_tool(
         )
     com = np.zeros(3)
     com_std = np.zeros(3)
-    if mass > NOTHING_HANGS * mass_std:
-        com = x[1:4] / (mass * scale)
-        moment_std = spread[1:4] * np.sqrt(variance[1]) / scale
+    if mass > SIGNIFICANT_ERRORS * mass_std:
+        com = solution[1:4] / (mass * gravity)
+        moment_std = error_gains[1:4] * np.sqrt(torque_variance) / gravity
         com_std = np.hypot(moment_std, com * mass_std) / mass
     return Identification(
         mass=max(float(mass), 0.0),
         mass_std=float(mass_std),
         com_sensor=com,
         com_std=com_std,
-        bias_sensor=x[4:].copy(),
+        bias_sensor=solution[4:].copy(),
         force_residual=force_residual,
         torque_residual=torque_residual,
         condition=condition,
@@ -188,21 +219,21 @@ def identify_tool(
     )
 
 
-def _equations(
+def _build_equations(
     readings: Sequence[PoseReading], down_world: Vector
 ) -> tuple[Matrix, Vector]:
-    """Return A, shape (6 p, 10), and b of A [m, m c, b_f, b_tau] = b; gravity is 1."""
+    """Return A, shape (6 p, 10), and y of A [w, w c, b_f, b_tau] = y, with w = m |g| [N]."""
     A = np.zeros((len(readings), 6, 10))
-    b = np.zeros((len(readings), 6))
+    y = np.zeros((len(readings), 6))
     for i, reading in enumerate(readings):
         if not np.isfinite(reading.wrench_sensor).all():
             raise CalibrationError(
                 f'reading of pose {i}: expected finite numbers, got '
                 f'{reading.wrench_sensor.tolist()}'
             )
-        x, y, z = down = reading.rotation_world.T @ down_world
+        down = reading.rotation_world.T @ down_world
         A[i, :3, 0] = -down
-        A[i, 3:, 1:4] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
+        A[i, 3:, 1:4] = np.cross(down, np.eye(3)).T  # columns: down x each axis
         A[i, :, 4:] = np.eye(6)
-        b[i] = reading.wrench_sensor
-    return A.reshape(-1, 10), b.ravel()
+        y[i] = reading.wrench_sensor
+    return A.reshape(-1, 10), y.ravel()

@@ -1,4 +1,8 @@
-"""How every study runs: cells, jobs, one table, one page; what a kind has beside is its own."""
+"""
+How every study runs: its cells as jobs, one table, one page.
+
+Each kind of study overrides parts.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,9 @@ import pandas as pd
 from rich.console import Console
 
 DPI = 130  # of the figure
-MOST_WARNINGS = 20
+MOST_REMARKS = (
+    20  # on runs that ended early; a study that fails as a whole has thousands
+)
 STUDY_FILE = 'study.json'
 TABLE_FILE = 'study.parquet'
 CSV_FILE = 'study.csv'
@@ -43,20 +49,22 @@ class Results:
     What came out of a study: its cells, what was measured in them, and the table of it.
 
     `attrs` of the frame has the names of the factors, their units by dotted name, and the version
-    of the package. Compared by identity, so that `lru_cache` can keep what is derived from one.
+    of the package. Hashed by identity: `MapStudy` caches the boundaries that its sentences and its
+    figure share.
     """
 
     cells: Sequence[Cell]
-    frame: pd.DataFrame  # a row for each cell; `attrs` has factors and units
+    frame: pd.DataFrame  # the rows of all cells, usually one for each
     metrics: Mapping[str, Metrics]  # what was measured, by `Cell.key`
 
 
 class Study:
     """
-    A study of a file, whose table has a row for each run.
+    A study as its file describes it, with a row for each run in its table.
 
-    A kind with code of its own is a subclass in `presets`, which replaces some of these methods;
-    `run_study` calls them. The configuration's parts are whole, as `read_study` returns them.
+    A kind of study with code of its own (`StudyConfig.kind`) is a subclass in `study.presets`,
+    which replaces some of these methods; `run_study` calls them. The configuration's parts are
+    whole, as `read_study` returns them.
     """
 
     def __init__(self, config: StudyConfig) -> None:
@@ -154,27 +162,29 @@ class Study:
         frame.attrs = {'factors': factors, 'units': units, 'version': __version__}
         return Results(cells, frame, metrics)
 
-    def list_warnings(self, results: Results) -> list[str]:
+    def list_remarks(self, results: Results) -> list[str]:
         """
-        Return which runs ended early and why, and which columns are not in the table.
+        Return the runs with an `error`, each with its error, and the columns that no row has.
 
-        At most 20 runs are named by their factors and seed, with a count of the others. A column
-        that no run has is most likely misspelt in the study's file.
+        At most `MOST_REMARKS` runs are named by their factors and seed, with a count of the
+        others. A column that no row has is most likely misspelt in the study's file.
         """
         frame = results.frame
         failed = frame[frame['error'].notna()]
+        # The seed is no factor of a cell with several faults: each of its rows has one.
         names = dict.fromkeys([*self.config.lines, *frame.attrs['factors'], 'seed'])
-        warnings = []
-        for _, row in failed.head(MOST_WARNINGS).iterrows():
+        remarks = []
+        for _, row in failed.head(MOST_REMARKS).iterrows():
+            # '' stands in the cells of a part that does not have the factor.
             where = [f'{name} {row[name]}' for name in names if row[name] != '']
-            warnings.append(f'{", ".join(where)}: {row["error"]}')
-        if len(failed) > MOST_WARNINGS:
-            warnings.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
+            remarks.append(f'{", ".join(where)}: {row["error"]}')
+        if len(failed) > MOST_REMARKS:
+            remarks.append(f'{len(failed) - MOST_REMARKS} more are in {CSV_FILE}')
         for column in table.resolve_columns(frame, self.config):
             numbers = table.largest_of_columns(frame, column.value)
             if column.value not in frame and numbers.isna().all():
-                warnings.append(f'columns: the table has nothing under {column.value}')
-        return warnings
+                remarks.append(f'columns: the table has nothing under {column.value}')
+        return remarks
 
     def write_files(self, results: Results, folder: Path) -> None:
         """
@@ -207,20 +217,18 @@ class Study:
             _render_bullet_list(self.describe_findings(results)),
             image,
         ]
-        for section, lines in table.make_listing(results.frame, config).items():
-            head = list(map(escape, lines))
-            rows = [list(map(escape, line)) for line in lines.to_numpy()]
-            cells = page.render_table(head, rows, numbers_from=lines.attrs['labels'])
-            parts.append(f'<h2>{escape(section)}</h2>{cells}')
+        for section, listed in table.make_listing(results.frame, config).items():
+            head = list(map(escape, listed.columns))
+            rows = [list(map(escape, row)) for row in listed.to_numpy()]
+            html = page.render_table(head, rows, numbers_from=listed.attrs['labels'])
+            parts.append(f'<h2>{escape(section)}</h2>{html}')
         parts.append(
             f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>'
         )
-        remarks = ''
-        warnings = self.list_warnings(results)
-        if warnings:
-            title = format_count(len(warnings), 'remarks')
-            remarks = page.render_details(title, _render_bullet_list(warnings))
-        parts.append(remarks)
+        remarks = self.list_remarks(results)
+        if remarks:
+            title = format_count(len(remarks), 'remarks')
+            parts.append(page.render_details(title, _render_bullet_list(remarks)))
         for heading, text in self.further_sections(results).items():
             parts.append(f'<h2>{escape(heading)}</h2>{text}')
         return '\n'.join(parts)
@@ -253,20 +261,24 @@ def run_study(
     console
         Where progress and results are shown.
     jobs
-        How many at once; see `run_jobs`.
+        How many processes run jobs: 1 is this one, 0 stands for one on every core.
     dask
-        Address of the scheduler of a cluster that runs them instead; see `dask_client`.
+        Address of the scheduler of a Dask cluster that runs the jobs instead; see `dask_client`.
     overwrite
         Whether what is finished is run again.
 
     Raises
     ------
     ConfigError
-        If the study is not acceptable, before anything is run.
+        If the study, the folder or the address of the cluster is not acceptable, before anything
+        is run.
+    RunError
+        If a worker or the cluster dies; what is finished is kept.
 
     """
     name = study.config.name
     cells = study.plan_cells()
+    # First the cluster: where none answers, no folder is made, and none is emptied.
     with dask_client(dask) as client:
         prepare_folder(folder, overwrite=overwrite)
         _show_progress(name, cells, folder, console)
@@ -291,7 +303,7 @@ def run_study(
     study.write_files(results, folder)
     listing = table.make_listing(results.frame, study.config)
     console.print(*table.terminal_tables(name, listing, console.width))
-    for text in study.list_warnings(results):
+    for text in study.list_remarks(results):
         console.print(text, style='red', markup=False)
     for text in study.describe_findings(results):
         console.print(f'- {text}', markup=False)

@@ -540,10 +540,11 @@ def _advance_towards(
     if distance < CAUGHT_UP and as_fast and not slowed:
         velocity[:] = velocity_des
         return True
+    if share < 1.0:
+        acceleration[:] = 0.0
     for k in range(3):
-        way[k] = h * velocity[k]
+        way[k] = h * velocity[k] - 0.5 * h * h * acceleration[k]
         velocity_des[k] = velocity[k]
-        acceleration[k] = 0.0
     return False
 
 

@@ -354,6 +354,7 @@ class Supervisor:
     def _resume_law(self) -> None:
         """Start the control law, or go on with it after a reaction."""
         controller = self.controller
+        controller.pause_motion_observer()
         if self.started:
             held = self.task.resume_task()
             continue_laws_after_pause(

@@ -1,11 +1,13 @@
 """Weighing the tool from a recording; tests of graphs weigh that of a running robot."""
 
-from itertools import product
+from itertools import combinations, product
 from types import SimpleNamespace
+from typing import get_type_hints
 
 from arms import controller_config
 from fake_arm import wrench_message
 from foreign_bag import controller_file, JOINTS, RATE, START
+from multicontact_control.cli.robot import TiltOptions
 from multicontact_control.commissioning.weighing import (
     CLEARANCE,
     find_clearing_way,
@@ -21,7 +23,11 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.runs.scenario import read_controller_files
-from multicontact_control.sensor.tool import PoseReading, predict_weight_reading
+from multicontact_control.sensor.tool import (
+    identify_tool,
+    PoseReading,
+    predict_weight_reading,
+)
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -80,6 +86,18 @@ def corners_of(contact):
     width = contact.half_width * (contact.type == 'plane')
     shares = np.array(list(product((-1, 0, 1), repeat=2)))
     return contact.point_operational + shares @ [length * along, width * across]
+
+
+def test_least_tilt_that_calibrate_takes_determines_the_tool_from_any_four_poses():
+    tilt = get_type_hints(TiltOptions, include_extras=True)['tilt'].__metadata__[0]
+    poses = []
+    for x, y in TILTS:
+        turn = np.radians(tilt.min) * np.array([x, y, 0.0])
+        rotation = Rotation.from_rotvec(turn).as_matrix()
+        reading = predict_weight_reading(rotation, TOOL, GRAVITY) + TOOL.bias_sensor
+        poses.append(PoseReading(rotation, reading))
+    for chosen in combinations(poses, 4):
+        assert identify_tool(chosen, GRAVITY).mass == pytest.approx(TOOL.mass)
 
 
 @pytest.mark.parametrize('kind', ['point', 'edge', 'plane'])

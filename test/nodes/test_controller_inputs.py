@@ -7,7 +7,13 @@ from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.diagnostics import InputMonitor
 from multicontact_control.nodes.link import ServiceClientNode
-from multicontact_control.nodes.topics import JOINT_STATES, NOISE_VARIANCE, WRENCH
+from multicontact_control.nodes.topics import (
+    CONTROLLER,
+    JOINT_STATES,
+    NOISE_VARIANCE,
+    TOPICS,
+    WRENCH,
+)
 from multicontact_control.runs.graph.processes import LINE_LENGTH
 import numpy as np
 import pytest
@@ -43,6 +49,17 @@ class StrangeArm(FakeArm):
         message.effort = [np.nan, *map(float, EFFORT[::-1]), 0.04]
         self._joints.publish(message)
         self._wrench.publish(wrench_message(stamp + 50_000, self.frame, self.wrench))
+
+
+def test_controller_subscribes_to_what_the_table_says_and_to_one_wrench(host):
+    node = host.activate()
+    expected = {WRENCH.name}
+    for topic in TOPICS:
+        if CONTROLLER in topic.subscribers:
+            expected.add(topic.name)
+    assert {
+        subscription.topic_name.lstrip('/') for subscription in node.subscriptions
+    } == expected
 
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):

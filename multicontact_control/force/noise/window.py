@@ -24,14 +24,14 @@ Normalisation = Literal['dc', 'hf']
 
 
 class NoiseWindow(Record, Protocol):
-    """What is set for an estimator over a window (P04 eqs 42-44); one."""
+    """Filter, scale and sample count of an estimator over a window, one for all contacts."""
 
-    # A, c and b of the filter.
+    # a, c and b of `LeadFilter`.
     pole: float
     zero: float
     gain: float
 
-    scale: float  # of the variances
+    scale: float  # factor of R, `variance_scale`
     count: int  # samples so far
 
 
@@ -41,9 +41,8 @@ NOISE_WINDOW = record_dtype(NoiseWindow)
 class FilterState(Record, Protocol):
     """What the filter of one contact remembers of the sample before."""
 
-    # [N].
-    alpha: float
-    filtered: float
+    alpha: float  # what came in [N]
+    filtered: float  # what went out [N]
 
 
 FILTER_STATE = record_dtype(FilterState)
@@ -51,7 +50,11 @@ FILTER_STATE = record_dtype(FilterState)
 
 @dataclass(frozen=True, slots=True)
 class LeadFilter:
-    """alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1): G_f of P04 eq. 42, matched z."""
+    """
+    A filter with one pole and one zero: G_f of P04 eq. 42, in discrete time.
+
+    alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1)
+    """
 
     pole: float  # a
     zero: float  # c
@@ -67,10 +70,13 @@ def design_lead_filter(
     """
     Design G_f (P04 eq. 42).
 
-    With a DC gain of 1, as the paper says, a zero below the pole makes it a lead, which amplifies
-    noise. With a gain of 1 at half the rate it is a high-pass filter.
+    With a DC gain of 1 ('dc'), as the paper says, a zero below the pole makes it a lead, which
+    amplifies noise. With a gain of 1 at half the rate ('hf') it is the same filter times a
+    constant: with zero and pole at 3 and 60 Hz it lets 1/19 of a constant force through, and R is
+    365 times smaller.
 
-    Frequencies of the continuous filter [Hz] are mapped by z = exp(-2 pi f h), h = 1 / rate.
+    Frequencies of the continuous filter [Hz] are mapped by z = exp(-2 pi f h), h = 1 / rate
+    (matched z-transform).
     """
     zero = math.exp(-2.0 * math.pi * zero_frequency / rate)
     pole = math.exp(-2.0 * math.pi * pole_frequency / rate)
@@ -93,19 +99,36 @@ def take_into_window(
     Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
 
     alpha_f,k = a alpha_f,k-1 + b (alpha_k - c alpha_k-1), from the steady state of the first
-    sample; R is the variance of the filtered samples, shape (N, r). Returns False, nothing
-    changed, for forces that cannot be used. Forces [N] and variance [N^2] are of shape (r,),
-    `windows` is one record of `NOISE_WINDOW`, `states` are records of `FILTER_STATE`.
+    sample. R is the variance (with 1/N) of the newest N filtered forces.
+
+    Parameters
+    ----------
+    alpha
+        Measured forces, shape (r,) [N].
+    windows
+        One record of `NOISE_WINDOW`.
+    states
+        A record of `FILTER_STATE` for each contact.
+    samples
+        Keeps the newest N filtered forces in a ring, shape (N, r) [N].
+    variance
+        Becomes R times the scale, shape (r,) [N^2]. Before N samples it stays as it is.
+
+    Returns
+    -------
+    bool
+        False, with nothing changed, if a force is not finite or beyond `MAX_MAGNITUDE`.
+
     """
     window = windows[0]
     length, contacts = samples.shape
     for i in range(contacts):
-        if not abs(alpha[i]) < MAX_MAGNITUDE:  # nor is NaN
+        if not abs(alpha[i]) < MAX_MAGNITUDE:  # written so that it catches NaN, too
             return False
     if window.count == 0:
+        rest_gain = window.gain * (1.0 - window.zero) / (1.0 - window.pole)
         for i in range(contacts):
             states[i].alpha = alpha[i]
-            rest_gain = window.gain * (1.0 - window.zero) / (1.0 - window.pole)
             states[i].filtered = rest_gain * alpha[i]
     for i in range(contacts):
         state = states[i]
@@ -117,6 +140,7 @@ def take_into_window(
     window.count += 1
     if window.count < length:
         return True
+    # Summed anew at each sample: a running sum would keep the rounding of every large force.
     for i in range(contacts):
         total = 0.0
         for k in range(length):
@@ -130,8 +154,12 @@ def take_into_window(
     return True
 
 
-class Window(NoiseEstimator):
-    """The variance of the force itself over the window, known once the window is full."""
+class WindowEstimator(NoiseEstimator):
+    """
+    The variance of the force itself over the newest `window` samples, once there are as many.
+
+    A step of the force counts as noise until the window has passed it.
+    """
 
     def _forget(self) -> None:
         config = self.config
@@ -142,13 +170,6 @@ class Window(NoiseEstimator):
         self._window['scale'] = config.variance_scale
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((config.window, self._contacts))
-        take_into_window(  # so that no sample waits for it to be compiled
-            self._alpha,
-            self._window.copy(),
-            self._states.copy(),
-            self._samples.copy(),
-            self._variance.copy(),
-        )
 
     def _design(self) -> LeadFilter:
         return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
@@ -161,8 +182,12 @@ class Window(NoiseEstimator):
         )
 
 
-class LeadWindow(Window):
-    """The paper's estimator: lead filter of unit gain at DC, then windowed variance."""
+class LeadWindowEstimator(WindowEstimator):
+    """
+    The paper's estimator: the variance of the force behind a lead filter of unit gain at DC.
+
+    The lead amplifies what changes fast, above all noise (P04 sec. 4.2, eqs 42-44).
+    """
 
     normalisation: Normalisation = 'dc'
 
@@ -175,7 +200,7 @@ class LeadWindow(Window):
         )
 
 
-class HfWindow(LeadWindow):
-    """The other reading of the paper: the same filter with unit gain at high frequency."""
+class HfWindowEstimator(LeadWindowEstimator):
+    """The other reading of the paper: the same filter with unit gain at half the rate."""
 
     normalisation: Normalisation = 'hf'

@@ -35,7 +35,9 @@ pytestmark = pytest.mark.ros
 
 TICKS = 1000
 ENDLESS = 50_000
-CONTROL_TOPICS = [f'/{topic.name}' for topic in TOPICS if topic.rate == 'control']
+CONTROL_TOPICS = [
+    f'/{topic.name.lstrip("/")}' for topic in TOPICS if topic.rate == 'control'
+]
 ADAPTIVE_TOPICS = (f'/{topics.STIFFNESS.name}', f'/{topics.STABILITY_MARGIN.name}')
 
 
