@@ -72,7 +72,7 @@ BUDGETS = {
     'view': 20_580,
     'cli': 6_200,
     'sim_bridge': 30_400,
-    'test': 165_800,
+    'test': 169_500,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
