@@ -22,6 +22,7 @@ from typing import Any, Literal, NamedTuple, Union
 from multicontact_control.cli.application import app, FOLDERS
 from multicontact_control.cli.options import describe_files
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
+from multicontact_control.config.base import list_kinds
 from multicontact_control.faults.situation import SituationConfig
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_node import ControllerNodeConfig
@@ -158,6 +159,11 @@ def list_groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
         if key in inherited:
             continue
         name = prefix + key
+        kinds = list(list_kinds(field.annotation))
+        if len(kinds) > 1:
+            for _, each in kinds:
+                inner.append((each, f'{name}.'))
+            continue
         kind = _bare_type(field.annotation)
         origin = typing.get_origin(kind)
         arguments = [_bare_type(each) for each in typing.get_args(kind)]
@@ -169,7 +175,10 @@ def list_groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
             inner.append((arguments[0], f'{name}.N.'))
         else:
             entries.append(Entry(name, _name_type(kind), field, _list_choices(kind)))
-    yield Group(prefix.rstrip('.'), model, entries)
+    heading = prefix.rstrip('.')
+    for kind, _ in list_kinds(model):
+        heading = f'{heading} ({kind})'
+    yield Group(heading, model, entries)
     for child, child_prefix in inner:
         yield from list_groups(child, child_prefix)
 

@@ -57,7 +57,7 @@ BUDGETS = {
     'dynamics': 6_600,
     'contact': 4_600,
     'force': 16_000,
-    'control': 14_600,
+    'control': 17_700,
     LOOP: 3_500,
     'supervision': 28_600,
     'diagnosis': 3_400,
@@ -72,7 +72,7 @@ BUDGETS = {
     'view': 20_580,
     'cli': 6_200,
     'sim_bridge': 30_400,
-    'test': 165_800,
+    'test': 169_500,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }

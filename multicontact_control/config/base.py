@@ -28,6 +28,7 @@ PHRASES = re.compile(
     '^(Value error, (expected )?|Input should be |[A-Z][a-z]+ should have )'
     r'|( after validation)?, (not|unable|got a number) .*$'
 )
+KIND = 'kind'  # the key that says which of several models a mapping is
 MAPPING = 'a mapping of keys to values'
 KINDS = {'model_type': MAPPING, 'dict_type': MAPPING, 'tuple_type': 'a list of values'}
 
@@ -125,27 +126,58 @@ def validate(
 
 def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
     """Return the error of a field that pydantic has found, with what it expects."""
-    location = detail['loc']
+    location, place = _find_place(model, detail['loc'])
     kind = detail['type']
     field = '.'.join(map(str, location)) or model.__name__
     if kind == 'extra_forbidden':
         return ConfigError(
             field,
-            f'a known key ({_known_keys(model, location)})',
+            f'a known key ({", ".join(place.model_fields)})',
             f"unknown key '{location[-1]}'",
         )
     if kind == 'missing':
         return ConfigError(field, 'a value', 'nothing')
+    if kind == 'union_tag_invalid':
+        context = detail['ctx']
+        return ConfigError(
+            f'{field}.{KIND}',
+            f'one of {context["expected_tags"]}',
+            f"'{context['tag']}'",
+        )
     expected = KINDS.get(kind, PHRASES.sub('', detail['msg']))
     return ConfigError(field, expected, repr(detail['input']))
 
 
-def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
-    """Return the keys that are known where an unknown one stands."""
-    for part in location[:-1]:  # fields, and keys or places among several models
-        if part in model.model_fields:
-            model = find_config_model(model.model_fields[str(part)].annotation) or model
-    return ', '.join(model.model_fields)
+def _find_place(
+    model: type[Config], location: Sequence[int | str]
+) -> tuple[list[int | str], type[Config]]:
+    """Return a location without the kinds in it, and the model that its last key stands in."""
+    names = []
+    kinds: dict[str, type[Config]] = {}
+    for index, part in enumerate(location):
+        if (
+            part in kinds
+        ):  # one of several models, named by pydantic: no key of the file
+            model = kinds[str(part)]
+            kinds = {}
+            continue
+        names.append(part)
+        is_inner = index < len(location) - 1
+        if is_inner and part in model.model_fields:
+            annotation = model.model_fields[str(part)].annotation
+            kinds = dict(list_kinds(annotation))
+            model = find_config_model(annotation) or model
+    return names, model
+
+
+def list_kinds(annotation: Any) -> Iterator[tuple[str, type[Config]]]:
+    """Yield the configurations among which a type chooses by their `kind`, and that."""
+    if isinstance(annotation, type) and issubclass(annotation, Config):
+        if KIND in annotation.model_fields:
+            yield str(annotation.model_fields[KIND].default), annotation
+        return
+    for inner_kind in get_args(annotation):
+        yield from list_kinds(inner_kind)
 
 
 def find_config_model(kind: Any) -> type[Config] | None:

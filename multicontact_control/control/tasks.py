@@ -7,15 +7,19 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple, Protocol
 
-from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import (
     Config,
     ControllerConfig,
+    LimitsConfig,
     parameter,
-    UnitVector3,
 )
-from multicontact_control.control.trajectory import LARGEST_SINE
+from multicontact_control.control.motions import (
+    MotionConfig,
+    plan_motion,
+    PlannedMotion,
+    require_free_motion,
+)
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -23,6 +27,7 @@ import numpy as np
 ZERO_TWIST = np.zeros(6)  # twist and acceleration
 ZERO_TWIST.flags.writeable = False
 STAMP_TOLERANCE = 1e-9  # s
+DEFAULT_LIMITS = LimitsConfig()
 
 
 class WantedTask(NamedTuple):
@@ -101,30 +106,17 @@ class ForceStepConfig(Config):
     )
 
 
-class SineConfig(Config):
-    """A sinusoid of the operational point along one direction, blended in by a quintic."""
-
-    start_time: float = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
-    direction_world: UnitVector3 = parameter(
-        (1.0, 0.0, 0.0), 'Unit direction, world axes.'
-    )
-    amplitude: float = parameter(0.15, 'Amplitude.', unit='m', ge=0.0)
-    period: float = parameter(8.0, 'Period.', unit='s', gt=0.0)
-    blend_time: float = parameter(
-        2.0, 'Duration of the quintic blend-in.', unit='s', gt=0.0
-    )
-
-
 class ReferenceConfig(Config):
     """
     The scenario of an experiment: approach, force steps at rest, motion (P04 sec. 5.2).
 
-    Times count from the first sample.
+    Times count from the first sample. A motion has a kind: `sine`, where none is named, `circle`,
+    or `waypoints`.
     """
 
     approach: ApproachConfig = ApproachConfig()
     force_steps: tuple[ForceStepConfig, ...] = ()
-    motion: SineConfig | None = None
+    motion: MotionConfig | None = None
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
         times = [step.time for step in self.force_steps]
@@ -132,25 +124,9 @@ class ReferenceConfig(Config):
             yield ConfigError('reference.force_steps', 'times in rising order', times)
 
 
-def evaluate_sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
-    """Return s = A b(tau / t_b) sin(2 pi tau / T) [m], b a quintic, and its two derivatives."""
-    tau = time - config.start_time
-    if tau <= 0.0:
-        return 0.0, 0.0, 0.0
-    w = 2.0 * math.pi / config.period
-    sine = math.sin(w * tau)
-    cosine = math.cos(w * tau)
-    b, db, ddb = quintic_blend(tau, config.blend_time)
-    A = config.amplitude
-    s = A * b * sine
-    ds = A * (db * sine + b * w * cosine)
-    dds = A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine)
-    return s, ds, dds
-
-
 class ScenarioTask:
     """
-    The paper's experiment: approach, preload, force steps, sinusoid (P04 sec. 5.2).
+    The paper's experiment: approach, preload, force steps, a motion (P04 sec. 5.2).
 
     A contact is wanted from the start of the approach on, while its desired force is above 0.
     Where the source makes the contacts, each is approached until it is felt, then active. A force
@@ -163,11 +139,17 @@ class ScenarioTask:
     names, leading_columns
         Forces and couples in the order of every contact vector, and for each the index of the
         normal force of its contact.
+    limits
+        Of the operational point, for which a motion is slowed down.
 
     Attributes
     ----------
     forces
         Desired ones before the first and after every force step, shape (steps + 1, r) [N].
+    step_times
+        Those of the force steps and of the waypoints with a force, in rising order [s].
+    motion_end
+        When the motion is at rest again, infinity for one that does not end [s].
 
     """
 
@@ -177,13 +159,28 @@ class ScenarioTask:
         rate: float,
         names: Sequence[str],
         leading_columns: Sequence[int],
+        limits: LimitsConfig = DEFAULT_LIMITS,
     ) -> None:
         self._approach = config.approach
-        self._motion = config.motion
         self._period = 1.0 / rate
-        self._motion_direction = np.zeros(6)  # as a twist
-        if config.motion:
-            self._motion_direction[:3] = config.motion.direction_world
+        self._names = tuple(names)
+        self._motion: PlannedMotion | None = None
+        self._motion_start = math.inf
+        self.motion_end = math.inf
+        steps = list(config.force_steps)
+        if config.motion is not None:
+            self._motion = plan_motion(config.motion, limits)
+            self._motion_start = config.motion.start_time
+            self.motion_end = self._motion.end
+            for time, name, force in self._motion.force_steps:
+                if name not in names:
+                    raise ConfigError(
+                        'reference.motion.contact',
+                        f'one of {", ".join(names)}',
+                        f"'{name}'",
+                    )
+                steps.append(ForceStepConfig(time=time, forces={name: force}))
+            steps.sort(key=_step_time)
         self.contact_state: Mapping[str, float] = {
             'approach_speed': self._approach.speed,
             'approach_ramp_time': self._approach.ramp_time,
@@ -193,46 +190,34 @@ class ScenarioTask:
         self._leading_columns = np.array(leading_columns)
         is_force = self._leading_columns == np.arange(len(names))
         preload = np.where(is_force, self._approach.preload, 0.0)
-        self.forces = _forces_after_steps(config.force_steps, dict(zip(names, preload)))
+        self.forces = _forces_after_steps(steps, dict(zip(names, preload)))
         active = (self.forces > 0.0)[:, self._leading_columns]
         self._wanted_after_step = list(zip(active, self.forces))
         self._nothing_wanted = np.zeros(len(names), dtype=bool), np.zeros(len(names))
-        self._step_times = [step.time for step in config.force_steps]
+        self.step_times = [step.time for step in steps]
 
     @classmethod
     def for_controller(
         cls, reference: ReferenceConfig, config: ControllerConfig
     ) -> ScenarioTask:
         """Return the task of a scenario for the contacts of a controller; ConfigError."""
-        task = cls(reference, config.rate, config.column_names, config.leading_columns)
-        if reference.motion is not None and reference.motion.amplitude > 0.0:
-            task._require_free(reference.motion, config)
+        task = cls(
+            reference,
+            config.rate,
+            config.column_names,
+            config.leading_columns,
+            config.limits,
+        )
+        motion = reference.motion
+        if motion is not None:
+            steps_before = bisect_right(task.step_times, motion.start_time)
+            rows = task.forces[steps_before:]  # those in force at its start, and later
+            pressed = []
+            for name, column in zip(config.contact_names, config.force_columns):
+                if (rows[:, column] > 0.0).any():
+                    pressed.append(name)
+            require_free_motion(motion, config, pressed)
         return task
-
-    def _require_free(self, motion: SineConfig, config: ControllerConfig) -> None:
-        """Refuse a motion into or away from surfaces that are pressed meanwhile: ConfigError."""
-        steps_before = bisect_right(self._step_times, motion.start_time)
-        rows = self.forces[steps_before:]  # those in force at its start, and later
-        pressed = []
-        for name, column in zip(config.contact_names, config.force_columns):
-            if (rows[:, column] > 0.0).any():
-                pressed.append(name)
-        normals = np.array([config.contacts[name].normal_world for name in pressed])
-        normals = normals.reshape(-1, 3)  # also of none
-        direction = np.array(motion.direction_world)
-        out_of_surfaces = np.linalg.pinv(normals) @ (normals @ direction)
-        sine = float(np.linalg.norm(out_of_surfaces))
-        if sine > LARGEST_SINE:
-            largest_angle = math.degrees(math.asin(LARGEST_SINE))
-            angle = math.degrees(math.asin(min(sine, 1.0)))
-            surfaces = ', '.join(pressed)
-            raise ConfigError(
-                'reference.motion.direction_world',
-                f'at most {largest_angle:.0f} degrees out of the surfaces '
-                f'of {surfaces}, which are pressed then',
-                f'{direction.tolist()}, {angle:.0f} degrees out of them',
-                hint='a motion has no effect along the normal of a contact',
-            )
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest; see `TaskSource.start`."""
@@ -242,6 +227,9 @@ class ScenarioTask:
         self._touched: Mask = np.zeros(len(normals_world), dtype=bool)
         self._advance = np.zeros(len(normals_world))  # along each normal [m]
         self.seeks = True
+        if self._motion is not None:
+            normals = dict(zip(self._names, normals_world))
+            self._motion.start(pose.position_world, normals)
 
     def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
         """Return the task of one tick; see `TaskSource.task_at`."""
@@ -249,7 +237,7 @@ class ScenarioTask:
         if since_start < 0.0:
             active, alpha_des = self._nothing_wanted
         else:
-            steps_taken = bisect_right(self._step_times, time + STAMP_TOLERANCE)
+            steps_taken = bisect_right(self.step_times, time + STAMP_TOLERANCE)
             active, alpha_des = self._wanted_after_step[steps_taken]
         twist = acceleration = ZERO_TWIST
         if alpha_meas is not None:
@@ -258,12 +246,11 @@ class ScenarioTask:
                 alpha_des = np.where(self._touched, alpha_des, 0.0)
             active = self._touched
         position = self._position
-        motion = self._motion
-        if motion is not None and time > motion.start_time:
-            s, ds, dds = evaluate_sine_motion(motion, time)
-            position = position + s * self._motion_direction[:3]
-            twist = twist + ds * self._motion_direction
-            acceleration = acceleration + dds * self._motion_direction
+        if self._motion is not None and time > self._motion_start:
+            displacement, velocity, change = self._motion.displace(time)
+            position = position + displacement
+            twist = twist + velocity
+            acceleration = acceleration + change
         pose = Pose(position, self._pose.rotation_world)
         return WantedTask(pose, twist, acceleration, active, alpha_des)
 
@@ -289,6 +276,11 @@ class ScenarioTask:
         direction = np.zeros(6)
         direction[:3] = self._normals[free].sum(axis=0)
         return speed * direction, rate * direction
+
+
+def _step_time(step: ForceStepConfig) -> float:
+    """Return when a force step comes [s]."""
+    return step.time
 
 
 def _forces_after_steps(

@@ -8,7 +8,8 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ToolConfig
-from multicontact_control.control.tasks import evaluate_sine_motion, MotionReading
+from multicontact_control.control.motions import evaluate_sine_motion, SineConfig
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
 from multicontact_control.faults.course import Course
@@ -78,7 +79,7 @@ class SituationRun:
         times = (self._period * np.arange(setup.ticks)).tolist()
         motion = setup.scenario.reference.motion
         ways: list[Any]
-        if self._is_scenario and motion is not None:
+        if self._is_scenario and isinstance(motion, SineConfig):
             ways = [evaluate_sine_motion(motion, time) for time in times]
         else:
             start = self._situation.motion_time

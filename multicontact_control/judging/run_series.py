@@ -83,9 +83,11 @@ class RunSeries:
             if stretch.end > end:
                 self.lost_from = end
         self.motion_start = math.inf  # s
+        self.motion_end = math.inf  # s
         motion = setup.scenario.reference.motion
         if motion:
             self.motion_start = motion.start_time
+            self.motion_end = setup.reference().motion_end
 
     @cached_property
     def windows(self) -> Windows:

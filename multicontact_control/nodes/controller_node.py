@@ -13,6 +13,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
 from multicontact_control.control.controller import ControllerDesign
+from multicontact_control.control.motions import with_waypoints_of_file
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError, MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
@@ -107,7 +108,9 @@ class ControllerNodeConfig(StartupConfig):
         path = folder / self.reference_file
         values = read_yaml(path)
         reference = validate(
-            ReferenceConfig, values.get('reference', values), str(path)
+            ReferenceConfig,
+            with_waypoints_of_file(values.get('reference', values), path.parent),
+            str(path),
         )
         return ScenarioTask.for_controller(reference, config)
 

@@ -20,6 +20,7 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.config.base import ANY_NODE, read_node_parameters
+from multicontact_control.control.motions import WaypointsConfig, with_waypoints_of_file
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, run_all_checks
@@ -132,9 +133,11 @@ class Setup:
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
-        step_times = [step.time for step in self.scenario.reference.force_steps]
-        steps_taken = np.searchsorted(step_times, time + STAMP_TOLERANCE, side='right')
-        commanded: Matrix = self.reference().forces[steps_taken]
+        task = self.reference()
+        steps_taken = np.searchsorted(
+            task.step_times, time + STAMP_TOLERANCE, side='right'
+        )
+        commanded: Matrix = task.forces[steps_taken]
         return commanded
 
     def write(self, folder: Path) -> dict[str, Path]:
@@ -198,7 +201,10 @@ def scenario_with(
                 'duration', f'{SHORTEST:g} to {UNTIL_STOPPED:g} s', duration
             )
         overrides = {**overrides, 'duration': duration}
-    return validate(ScenarioConfig, merge(values, overrides), str(path))
+    merged = merge(values, overrides)
+    if isinstance(merged.get('reference'), Mapping):
+        merged['reference'] = with_waypoints_of_file(merged['reference'], path.parent)
+    return validate(ScenarioConfig, merged, str(path))
 
 
 class PlantSource(NamedTuple):
@@ -421,19 +427,28 @@ def check_together(setup: Setup, path: Path) -> None:
 
 
 def _check_force_steps(setup: Setup, path: Path) -> None:
-    """Check that contacts can hold the forces that a scenario's steps ask for; ConfigError."""
+    """Check that contacts can hold the forces that a scenario asks for; ConfigError."""
     state = setup.controller.contact_state
-    for index, step in enumerate(setup.scenario.reference.force_steps):
+    reference = setup.scenario.reference
+    asked = []
+    for index, step in enumerate(reference.force_steps):
         for name, force in step.forces.items():
-            presses = name in setup.controller.contact_names and force != 0.0
-            if presses and not state.smallest_force <= force < state.force_ceiling:
-                raise ConfigError(
-                    f'reference.force_steps.{index}.forces.{name}',
-                    f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '
-                    '(contact_state.smallest_force, .force_ceiling)',
-                    f'{force:g} N',
-                    str(path),
-                )
+            asked.append((f'force_steps.{index}.forces.{name}', name, force))
+    if isinstance(reference.motion, WaypointsConfig):
+        for index, point in enumerate(reference.motion.points):
+            if point.force is not None:
+                field = f'motion.points.{index}.force'
+                asked.append((field, reference.motion.contact, point.force))
+    for field, name, force in asked:
+        presses = name in setup.controller.contact_names and force != 0.0
+        if presses and not state.smallest_force <= force < state.force_ceiling:
+            raise ConfigError(
+                f'reference.{field}',
+                f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '
+                '(contact_state.smallest_force, .force_ceiling)',
+                f'{force:g} N',
+                str(path),
+            )
 
 
 class ControllerSections(NamedTuple):

@@ -8,11 +8,8 @@ import math
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.control.tasks import (
-    evaluate_sine_motion,
-    MotionReading,
-    SineConfig,
-)
+from multicontact_control.control.motions import evaluate_sine_motion, SineConfig
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.control.trajectory import check_position
 from multicontact_control.supervision.command_limits import check_twist
 import numpy as np

@@ -2,15 +2,14 @@
 
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.config import LimitsConfig
+from multicontact_control.control.motions import evaluate_sine_motion, SineConfig
 from multicontact_control.control.tasks import (
     ApproachConfig,
     CommandedTask,
-    evaluate_sine_motion,
     ForceStepConfig,
     MotionReading,
     ReferenceConfig,
     ScenarioTask,
-    SineConfig,
 )
 from multicontact_control.control.trajectory import shortest_motion_duration
 from multicontact_control.dynamics.rotations import Pose

@@ -1,6 +1,10 @@
 """Scenarios, presets, and values laid over everything by name."""
 
-from multicontact_control.config import merge, read_parameters, read_yaml
+from pathlib import Path
+import tempfile
+
+from multicontact_control.config import merge, read_parameters, read_yaml, validate
+from multicontact_control.control.tasks import ReferenceConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.judging.judged_run import simulation_parameters
 from multicontact_control.paths import find_config_folder
@@ -77,6 +81,61 @@ def test_motion_along_a_normal_is_accepted_once_its_contact_is_let_go():
     reference = {'force_steps': steps, 'motion': motion}
     setup = resolve('quick', scenario_overrides={'reference': reference})
     assert setup.scenario.reference.motion.direction_world == (0.0, 0.0, 1.0)
+
+
+def pressed_waypoints(depth):
+    """Return a motion through waypoints in the world that leads so far into the table [m]."""
+    points = []
+    for x in (0.0, 0.1):
+        points.append({'position': [x, 0.5, 0.45 - 10.0 * depth * x]})
+    return {'kind': 'waypoints', 'start_time': 5.0, 'points': points}
+
+
+def test_waypoints_through_a_pressed_surface_are_refused_with_the_point():
+    values = read_yaml(CONFIG / 'scenarios/circle.yaml')
+    values['reference']['motion'] = pressed_waypoints(0.004)
+    resolve_values(values)
+    values['reference']['motion'] = pressed_waypoints(0.1)
+    expected = (
+        'reference.motion: point 1: .* of table, got 45 degrees, 100 mm through them'
+    )
+    with pytest.raises(ConfigError, match=expected):
+        resolve_values(values)
+
+
+def test_circle_out_of_a_pressed_surface_is_refused():
+    values = read_yaml(CONFIG / 'scenarios/circle.yaml')
+    values['reference']['motion']['centre_direction_world'] = [0.0, 0.0, 1.0]
+    with pytest.raises(
+        ConfigError, match='at most 30 degrees .* of table, .* 90 degrees'
+    ):
+        resolve_values(values)
+
+
+def test_waypoint_force_that_no_contact_holds_is_refused():
+    values = read_yaml(CONFIG / 'scenarios/waypoints.yaml')
+    points = [{'position': [0.0, 0.0], 'force': 500.0}, {'position': [0.1, 0.0]}]
+    values['reference']['motion'] |= {'points': points, 'file': ''}
+    with pytest.raises(
+        ConfigError, match='motion.points.0.force: expected 0 or .* 500 N'
+    ):
+        resolve_values(values)
+
+
+def resolve_values(values):
+    """Resolve the values of a scenario as those of a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'mine.yaml'
+        path.write_text(yaml.safe_dump(values), encoding='utf-8')
+        return resolve(str(path))
+
+
+def test_the_folder_of_a_run_has_the_waypoints_of_a_file(tmp_path):
+    setup = resolve('waypoints')
+    setup.write(tmp_path)
+    values = read_yaml(tmp_path / 'reference.yaml')
+    assert len(values['motion']['points']) == 60
+    assert validate(ReferenceConfig, values) == setup.scenario.reference
 
 
 @pytest.mark.parametrize('name', PRESETS)

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.contact.geometry import configure_contacts
+from multicontact_control.control.motions import SineConfig
 from multicontact_control.control.tasks import (
     ApproachConfig,
     CommandedTask,
     MotionReading,
     ReferenceConfig,
     ScenarioTask,
-    SineConfig,
 )
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.records import CONTACT, CONTROL
