@@ -70,13 +70,13 @@ class MotionConfig(Config):
         1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0
     )
     observer_bandwidth: float = parameter(
-        60.0,
+        20.0,
         'Bandwidth of the observer of what disturbs the motion: joint friction, a wrong mass, '
         'a wrong scale of the torques; 0 for none.',
         unit='rad/s',
         live=True,
         ge=0.0,
-        le=200.0,
+        le=100.0,
     )
     friction_time: float = parameter(
         0.01,

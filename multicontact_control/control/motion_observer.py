@@ -35,6 +35,10 @@ LARGEST_TORQUE = 20.0  # N m, likewise
 # that is farther from its reference is held by something else than friction.
 LARGEST_ERROR = 0.003  # m
 LARGEST_ANGLE = 0.03  # rad
+# Speeds below which arm and reference are at rest: what disturbs a motion is not learnt there,
+# where friction in the joints and coarse encoders would make the arm hunt.
+REST_SPEED = 0.002  # m/s
+REST_TURN = 0.01  # rad/s
 # Largest share of the forces that are pressed with which is taken for friction.
 LARGEST_FRICTION = 1.0
 
@@ -100,7 +104,8 @@ def observe_motion(
         expected = observer.twist_est[i] + control.law.period * acceleration
         innovation[i] = twist[i] - expected
         observer.twist_est[i] = expected + config.twist_gain * innovation[i]
-    correct_disturbance(control, contacts, inertia, innovation, space.wrench)
+    if is_in_motion(twist) or is_in_motion(control.task.twist):
+        correct_disturbance(control, contacts, inertia, innovation, space.wrench)
     for k in range(newest):
         observer.accelerations[k] = observer.accelerations[k + 1]
 
@@ -146,6 +151,12 @@ def correct_disturbance(
     )
     for i in range(6):
         p[i] *= share
+
+
+@compiled
+def is_in_motion(twist: Vector) -> bool:
+    """Return whether a twist, shape (6,), is faster than what counts as rest."""
+    return vector_length(twist[:3]) > REST_SPEED or vector_length(twist[3:]) > REST_TURN
 
 
 @compiled

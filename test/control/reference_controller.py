@@ -23,6 +23,7 @@ class ReferenceController:
         self._viscous = np.array(config.friction.viscous or [0.0])
         self._observers = []
         self._active = np.zeros(len(self._contacts), dtype=bool)
+        self._contact_friction = np.zeros(6)
 
     def step(self, measurement, noise_variance):
         config = self.config
@@ -55,7 +56,8 @@ class ReferenceController:
         fed_forward = alpha_est + share * (reference.alpha_des - alpha_est)
         if config.force.fed_forward == 'measured':
             fed_forward = np.maximum(alpha_meas, 0.0)
-        pressing = N @ fed_forward[self._active]
+        self._follow_contact_friction(wrench - N @ alpha_meas[self._active], alpha_est)
+        pressing = N @ fed_forward[self._active] + self._contact_friction
         force = space.Lambda @ acceleration + space.mu + space.p + pressing
         friction = self._friction(measurement.qd)
         torque = friction + equations.joint_torque(
@@ -75,6 +77,15 @@ class ReferenceController:
             prior_variance=self._of_active('prior_variance'),
             variance_used=self._of_active('variance_used'),
         )
+
+    def _follow_contact_friction(self, unexplained, alpha_est):
+        """Low-pass what no contact force explains, up to the size of the forces."""
+        size = np.linalg.norm(unexplained[:3])
+        largest = np.maximum(alpha_est[self._active], 0.0).sum()
+        if size > largest:
+            unexplained = unexplained * largest / size
+        share = 1.0 - np.exp(-self.config.period / self.config.motion.friction_time)
+        self._contact_friction += share * (unexplained - self._contact_friction)
 
     def _share_of_desired(self, N, space):
         """Return how far what is fed forward goes from the estimated to the desired force."""

@@ -107,6 +107,14 @@ def test_disturbance_moves_the_arm_by_no_more_than_its_bound(axes, largest):
     assert_allclose(np.linalg.norm(wrench), largest, rtol=1e-9)
 
 
+def test_disturbance_of_an_arm_at_rest_is_not_learnt():
+    body = MovingBody(1e-3 * DISTURBANCE)
+    for _ in range(50):
+        body.control['frame']['twist'] *= 0.5
+        body.tick(np.zeros(6))
+    assert_array_equal(body.observer['disturbance'], 0.0)
+
+
 def test_disturbance_of_an_arm_that_is_held_away_does_not_grow():
     body = MovingBody()
     body.control['task']['position'][0, 2] = 1.01 * LARGEST_ERROR
