@@ -2,7 +2,7 @@
 
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
@@ -78,3 +78,13 @@ def test_slide_on_a_tilted_surface_presses_on(robot, plant, seed, degrees, axis,
     assert states == {('none', 'holding')}
     assert forces.max() < FORCE + 20.0
     assert np.mean(forces[-100:]) == pytest.approx(FORCE, abs=0.5)
+
+
+def test_slide_on_a_tilted_surface_keeps_to_its_path():
+    """20 degrees: along the estimated normal the tool would leave its path by 17 mm."""
+    setup = resolve('tilt', plant='rigid', duration=9.5)
+    data = run_in_process(setup, supervised=True).data
+    moving = data.time > setup.scenario.reference.motion.start_time + 1.0
+    error = (data.position_des - data.position)[moving, 0]
+    assert np.abs(error).max() < 1e-3
+    assert np.ptp(data.position[moving, 0]) > 0.05
