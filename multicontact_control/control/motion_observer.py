@@ -35,10 +35,12 @@ LARGEST_TORQUE = 20.0  # N m, likewise
 # that is farther from its reference is held by something else than friction.
 LARGEST_ERROR = 0.003  # m
 LARGEST_ANGLE = 0.03  # rad
-# Speeds below which arm and reference are at rest: what disturbs a motion is not learnt there,
-# where friction in the joints and coarse encoders would make the arm hunt.
+# Speeds of the reference and errors up to which nothing is learnt: at rest friction in the joints
+# and coarse encoders would make the arm hunt, and slip where it presses on something hard.
 REST_SPEED = 0.002  # m/s
 REST_TURN = 0.01  # rad/s
+REST_ERROR = 0.001  # m
+REST_ANGLE = 0.01  # rad
 # Largest share of the forces that are pressed with which is taken for friction.
 LARGEST_FRICTION = 1.0
 
@@ -104,8 +106,7 @@ def observe_motion(
         expected = observer.twist_est[i] + control.law.period * acceleration
         innovation[i] = twist[i] - expected
         observer.twist_est[i] = expected + config.twist_gain * innovation[i]
-    if is_in_motion(twist) or is_in_motion(control.task.twist):
-        correct_disturbance(control, contacts, inertia, innovation, space.wrench)
+    correct_disturbance(control, contacts, inertia, innovation, space.wrench)
     for k in range(newest):
         observer.accelerations[k] = observer.accelerations[k + 1]
 
@@ -129,7 +130,11 @@ def correct_disturbance(
     innovation: Vector,
     wrench: Vector,
 ) -> None:
-    """Correct p by the innovation of the twist, shape (6,), within its bounds."""
+    """
+    Correct p by the innovation of the twist, shape (6,), within its bounds.
+
+    It stays at rest, and while a contact is sought: a touch is no disturbance of the motion.
+    """
     observer = control.motion_observer
     frame = control.frame
     task = control.task
@@ -139,9 +144,14 @@ def correct_disturbance(
     for i in range(contacts.shape[0]):
         if contacts[i].answer.active:
             error = component_across(error, contacts[i].normal)
-    if may_grow(p[:3], innovation[:3], vector_length(error) < LARGEST_ERROR):
-        add_scaled_vector(p[:3], gain, innovation[:3])
+        elif contacts[i].wanted:
+            return
+    distance = vector_length(error)
     angle = vector_length(rotation_vector_between(task.rotation, frame.rotation))
+    if is_at_rest(task.twist, distance, angle):
+        return
+    if may_grow(p[:3], innovation[:3], distance < LARGEST_ERROR):
+        add_scaled_vector(p[:3], gain, innovation[:3])
     if may_grow(p[3:], innovation[3:], angle < LARGEST_ANGLE):
         add_scaled_vector(p[3:], gain, innovation[3:])
     multiply_vector(inertia.Lambda, p, wrench)
@@ -154,9 +164,11 @@ def correct_disturbance(
 
 
 @compiled
-def is_in_motion(twist: Vector) -> bool:
-    """Return whether a twist, shape (6,), is faster than what counts as rest."""
-    return vector_length(twist[:3]) > REST_SPEED or vector_length(twist[3:]) > REST_TURN
+def is_at_rest(twist_des: Vector, distance: float, angle: float) -> bool:
+    """Return whether the reference rests, and the arm is at it but for a small error [m, rad]."""
+    stands = vector_length(twist_des[:3]) < REST_SPEED
+    keeps_still = vector_length(twist_des[3:]) < REST_TURN
+    return stands and keeps_still and distance < REST_ERROR and angle < REST_ANGLE
 
 
 @compiled

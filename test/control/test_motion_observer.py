@@ -9,6 +9,7 @@ from multicontact_control.control.motion_observer import (
     LARGEST_TORQUE,
     MOTION_SPACE,
     observe_motion,
+    REST_ERROR,
 )
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.dynamics.operational_space import INERTIA_SPACE
@@ -36,6 +37,7 @@ class MovingBody:
         self.control = np.zeros(1, dtype=CONTROL)
         self.control['law']['period'] = H
         self.control['frame']['rotation'] = self.control['task']['rotation'] = np.eye(3)
+        self.control['task']['twist'][0, 0] = 0.1  # it moves
         pole = np.exp(-BANDWIDTH * H)
         self.observer = self.control['motion_observer'][0]
         config = self.observer['config']
@@ -108,11 +110,20 @@ def test_disturbance_moves_the_arm_by_no_more_than_its_bound(axes, largest):
 
 
 def test_disturbance_of_an_arm_at_rest_is_not_learnt():
-    body = MovingBody(1e-3 * DISTURBANCE)
+    body = MovingBody()
+    body.control['task']['twist'] = 0.0
     for _ in range(50):
-        body.control['frame']['twist'] *= 0.5
         body.tick(np.zeros(6))
     assert_array_equal(body.observer['disturbance'], 0.0)
+
+
+def test_disturbance_that_holds_an_arm_off_its_reference_is_learnt_at_rest():
+    body = MovingBody()
+    body.control['task']['twist'] = 0.0
+    body.control['task']['position'][0, 2] = 1.5 * REST_ERROR
+    for _ in range(300):
+        body.tick(np.zeros(6))
+    assert_allclose(body.observer['disturbance'], DISTURBANCE, rtol=1e-6)
 
 
 def test_disturbance_of_an_arm_that_is_held_away_does_not_grow():
