@@ -58,7 +58,7 @@ BUDGETS = {
     'contact': 4_600,
     'force': 16_000,
     'control': 17_700,
-    LOOP: 3_500,
+    LOOP: 4_200,
     'supervision': 28_600,
     'diagnosis': 3_400,
     'sensor': 3_300,
@@ -72,7 +72,7 @@ BUDGETS = {
     'view': 20_580,
     'cli': 6_200,
     'sim_bridge': 30_400,
-    'test': 169_500,
+    'test': 172_500,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }

@@ -1,0 +1,121 @@
+"""Paths over a real graph: followed, held and resumed, ended, left by a client that is gone."""
+
+from multicontact_control.client import CommandRefusedError, MultiContactClient
+from multicontact_control.control.trajectory import TimedPoses
+from multicontact_control.nodes import messages, topics
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from ros_graph import obedient_graph, PATIENCE, wait_for
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope='module')
+def domain_id(tmp_path_factory):
+    """Return the domain of a graph in lockstep that obeys commands."""
+    with obedient_graph(tmp_path_factory.mktemp('graph')) as number:
+        yield number
+
+
+@pytest.fixture(scope='module')
+def arm(domain_id):
+    with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as client:
+        yield client
+
+
+def line(state, *way, duration=1.0, count=5):
+    """Return points on a straight line from where the arm should be [m]."""
+    shares = np.linspace(0.0, 1.0, count)[:, np.newaxis]
+    return TimedPoses(
+        duration * shares[:, 0],
+        state.position_desired + shares * np.array(way),
+        np.tile(state.quaternion_desired, (count, 1)),
+    )
+
+
+def send(arm, points):
+    """Command a path and return what the controller says of it."""
+    message = messages.trajectory_message(points)
+    return arm.command_until_answered(topics.TRAJECTORY_COMMAND, message)
+
+
+def new_status(arm):
+    """Return the newest status."""
+    arm.take_statuses()
+    return arm.last_status
+
+
+def is_over(arm):
+    arm.read()
+    return new_status(arm).trajectory == ''
+
+
+def test_controller_follows_a_path_and_tells_how_far_it_is(arm):
+    start = arm.read()
+    status = send(arm, line(start, 0.05, 0.0, 0.0))
+    assert status.trajectory.startswith('moving 0.')
+    assert status.remaining_time == pytest.approx(1.5, abs=0.2)
+    wait_for(lambda: is_over(arm), 'the end of the path')
+    assert_allclose(
+        arm.read().position_world, start.position_desired + [0.05, 0, 0], atol=2e-3
+    )
+    send(arm, line(arm.read(), -0.05, 0.0, 0.0))
+    wait_for(lambda: is_over(arm), 'the end of the path')
+
+
+def test_path_is_held_and_resumed_also_by_another_client(arm, domain_id):
+    start = arm.read()
+    with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as other:
+        send(other, line(start, 0.0, -0.04, 0.0))
+    arm.hold()
+    wait_for(lambda: new_status(arm).trajectory.startswith('held'), 'the hold')
+    share = arm.last_status.trajectory_share
+    arm.read()
+    assert new_status(arm).trajectory_share == share
+    arm.hold(False)
+    wait_for(lambda: is_over(arm), 'the end of the path')
+    goal = start.position_desired + [0.0, -0.04, 0.0]
+    assert_allclose(arm.read().position_world, goal, atol=2e-3)
+    send(arm, line(arm.read(), 0.0, 0.04, 0.0))
+    wait_for(lambda: is_over(arm), 'the end of the path')
+
+
+def test_empty_path_ends_the_one_that_is_followed(arm):
+    start = arm.read()
+    send(arm, line(start, 0.05, 0.0, 0.0, duration=5.0))
+    none = TimedPoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+    send(arm, none)
+    wait_for(lambda: is_over(arm), 'the end of the path')
+    way = arm.read().position_desired - start.position_desired
+    assert np.linalg.norm(way) < 0.05
+
+
+def test_path_that_is_too_fast_is_slowed_down_and_says_so(arm):
+    status = send(arm, line(arm.read(), 0.0, 0.0, 0.0, duration=1.0))
+    assert status.left_out == ''
+    wait_for(lambda: is_over(arm), 'the end of the path')
+    status = send(arm, line(arm.read(), 0.0, 0.0, 0.05, duration=0.05))
+    assert 'slowed down' in status.left_out
+    wait_for(lambda: is_over(arm), 'the end of the path')
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (
+            {'times': np.array([0.0, 2.0, 1.0, 3.0, 4.0])},
+            'point 2: time: expected more',
+        ),
+        ({'positions_world': np.full((5, 3), 9.0)}, 'point 0: position x: expected'),
+        (
+            {'times': np.array([0.0, 1.0, 2.0, 3.0, 3.0])},
+            'point 4: time: expected more',
+        ),
+    ],
+)
+def test_refused_path_names_the_point_and_moves_nothing(arm, change, message):
+    start = arm.read()
+    with pytest.raises(CommandRefusedError, match=f'motion/trajectory: {message}'):
+        send(arm, line(start, 0.05, 0.0, 0.0)._replace(**change))
+    assert_allclose(arm.read().position_desired, start.position_desired, atol=1e-6)
