@@ -53,7 +53,7 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 8_300,
+    TOP: 8_900,
     'dynamics': 6_600,
     'contact': 4_600,
     'force': 16_000,
@@ -70,7 +70,7 @@ BUDGETS = {
     'faults': 12_200,
     'study': 17_300,
     'view': 20_580,
-    'cli': 6_200,
+    'cli': 7_100,
     'sim_bridge': 30_400,
     'test': 172_500,
     'test/campaign': 9_200,
