@@ -45,8 +45,7 @@ def send(arm, points):
 
 def new_status(arm):
     """Return the newest status."""
-    arm.take_statuses()
-    return arm.last_status
+    return wait_for(arm.status, 'a status')
 
 
 def is_over(arm):
@@ -210,6 +209,22 @@ def test_command_presses_and_follows_a_file_is_held_by_a_signal_and_resumes(
     text, _ = end_of(start_command('follow', '--end', *options))
     assert text.strip() == 'ended'
     arm.set_forces({'table': 0.0})
+
+
+def test_path_goes_on_when_its_client_is_killed(arm, domain_id, tmp_path):
+    path = tmp_path / 'path.csv'
+    start = arm.read().position_desired
+    rows = [f'{start[0] + x:.6f}, {start[1]:.6f}, {start[2]:.6f}' for x in (0.0, 0.03)]
+    path.write_text('\n'.join(['x, y, z', *rows]))
+    options = ('--speed', '0.01', '--namespace', 'arm', '--domain-id', str(domain_id))
+    client = start_command('follow', str(path), *options)
+    wait_for(lambda: new_status(arm).trajectory.startswith('moving'), 'the path')
+    client.kill()
+    end_of(client)
+    arm.await_path()
+    goal = start + [0.03, 0.0, 0.0]
+    assert_allclose(arm.read().position_world, goal, atol=2e-3)
+    arm.move(start, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,8 @@ class ContactTask:
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
         self._time = self.limits['time']
         self._changed = self.limits['changed']
+        self._linear_ahead = self.limits['linear']['ahead'][0]
+        self._angular_ahead = self.limits['angular']['ahead'][0]
         limits = self.limits['config']
         limits['guarded'] = guarded
         approach = {**config.contact_state.model_dump(), **source.contact_state}
@@ -294,17 +296,20 @@ class ContactTask:
 
     def _is_behind(self) -> bool:
         """Return whether the arm cannot follow: behind, bounded, or a contact is lost."""
-        limits = self.limits[0]
-        distance = np.linalg.norm(limits['linear']['ahead'])
-        angle = np.linalg.norm(limits['angular']['ahead'])
+        linear = self._linear_ahead
+        angular = self._angular_ahead
+        if (
+            self.catching_up
+            or linear @ linear > WAITING_DISTANCE**2
+            or angular @ angular > WAITING_ANGLE**2
+        ):
+            return True
+        losses = self.states['losses']
+        if not losses.any():
+            return False
         pressed = (self._codes == contacts.IMPACT) | (self._codes == contacts.HOLDING)
-        lost = self._columns['wanted'] & (self.states['losses'] > 0) & ~pressed
-        return bool(
-            limits['catching_up']
-            or distance > WAITING_DISTANCE
-            or angle > WAITING_ANGLE
-            or lost[self._leaders].any()
-        )
+        lost = self._columns['wanted'] & (losses > 0) & ~pressed
+        return bool(lost[self._leaders].any())
 
     def reference_pose(self) -> Pose:
         """Return where the reference is, which may be behind the task, without its contacts."""
