@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+import math
 import time
 
-from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import project_on_contacts
 from multicontact_control.control.trajectory import (
     check_position,
     shortest_motion_duration,
+    TimedPoses,
 )
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
@@ -27,7 +28,6 @@ from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 from multicontact_control.supervision.reactions import INFLATE, LATCHED, NONE
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -51,8 +51,12 @@ LONGEST_INTERRUPTION = 5.0
 # m or rad from the goal, within which the reference is there: the controller leads it on after a
 # late program.
 REFERENCE_TOLERANCE = 2e-5
-# s between two set points of a motion: a late program makes no step.
-LONGEST_ADVANCE = 0.1
+PROGRESS_PERIOD = 0.1  # s, between two looks at the progress of a path
+TRAJECTORY = topics.TRAJECTORY_COMMAND.name
+
+
+def ignore_progress(_status: ControllerStatus) -> None:
+    """Do nothing with the progress of a path."""
 
 
 class NotReachedError(RunError):
@@ -189,16 +193,18 @@ class MultiContactClient(ControllerLink):
         Move the operational point to a goal, and return when it is there.
 
         Along a straight line to a position, shape (3,) [m], with a quintic in time over a duration
-        [s], longer if this program is late, at rest at both ends; the orientation is the present
-        one by default. There means within tolerances [m], [rad]. Contacts that are sought or held
-        place the tool along their normals, edges and planes also about their couples' axes: there
-        the goal may differ by the tolerances from where the tool is, and where it ends does not
-        count. While a reaction takes the place of control the motion waits, for up to 5 s.
+        [s], at rest at both ends; the orientation is the present one by default. It is a
+        trajectory that the controller follows, so that a late program does not disturb it. There
+        means within tolerances [m], [rad]. Contacts that are sought or held place the tool along
+        their normals, edges and planes also about their couples' axes: there the goal may differ
+        by the tolerances from where the tool is, and where it ends does not count. While the arm
+        is held, a reaction takes the place of control, or a contact is lost, the motion waits, for
+        up to 5 s. A motion that this raises out of ends.
 
-        CommandRefusedError if the goal is out of the workspace, if contacts or the limits of speed
-        and acceleration do not allow the way, or if it is not obeyed: the arm stays where it got
-        to. NotReachedError, with the place and the cause, if a reaction ends the motion or control
-        waits for an operator, and if the arm is not there 5 s after the last point.
+        CommandRefusedError if the goal is out of the workspace, or if contacts or the limits of
+        speed and acceleration do not allow the way. NotReachedError, with the place and the cause,
+        if the motion waits longer or for an operator, and if the arm is not there 5 s after its
+        end.
         """
         messages.require_positive('duration', duration, 's')
         messages.require_positive('position_tolerance', position_tolerance, 'm')
@@ -208,65 +214,156 @@ class MultiContactClient(ControllerLink):
         try:
             check_position(goal, limits)
         except CommandError as error:
-            raise CommandRefusedError(
-                f'{topics.MOTION_COMMAND.name}: {error}'
-            ) from None
+            raise CommandRefusedError(f'{TRAJECTORY}: {error}') from None
         start = self.read()
         quaternion = start.quaternion_desired
         if quaternion_xyzw is not None:
             quaternion = messages.quaternion_array(quaternion_xyzw, 'quaternion_xyzw')
         goal_pose = Pose.from_quaternion(goal, quaternion)
-        _require_time(duration, start.pose_desired.displacement_to(goal_pose), limits)
-        # All that takes time comes first: the motion runs from the sample that it starts at.
-        status = self.command_until_answered(
-            topics.MOTION_COMMAND,
-            messages.motion_message(
-                start.position_desired,
-                start.quaternion_desired,
-                np.zeros(6),
-                np.zeros(6),
-            ),
-        )
-        start = self.read()
         way = start.pose_desired.displacement_to(goal_pose)
+        _require_time(duration, way, limits)
+        status = self.end_path()
         _require_free(way, status, position_tolerance, rotation_tolerance)
         _require_passing(status, start, goal_pose, 0.0)
-        self._follow(start, way, goal_pose, duration)
-        self._arrive(goal_pose, position_tolerance, rotation_tolerance)
+        points = TimedPoses(
+            np.array([float(duration)]), goal[np.newaxis], quaternion[np.newaxis]
+        )
+        self._command_path(points)
+        try:
+            self._watch_path(goal_pose, ignore_progress, LONGEST_INTERRUPTION)
+            self._arrive(goal_pose, position_tolerance, rotation_tolerance)
+        except BaseException:
+            self._abandon_path()
+            raise
 
-    def _follow(
-        self, start: ArmState, way: Vector, goal: Pose, duration: float
+    def follow(
+        self,
+        positions_world: ArrayLike,
+        *,
+        speed: float = 0.05,
+        times: ArrayLike | None = None,
+        quaternions_xyzw: ArrayLike | None = None,
+        on_progress: Callable[[ControllerStatus], None] | None = None,
     ) -> None:
-        """Command the points of a way from a state, shape (6,) [m, rad], as its samples come."""
-        identifier = new_identifier()
-        start_rotation = Rotation.from_quat(start.quaternion_desired)
-        elapsed = 0.0
+        """
+        Lead the operational point through positions, and return once it has come to rest.
+
+        The controller follows the path, a cubic spline, by itself: it goes on if this program
+        ends. It begins straight to the first point, and is slowed down as a whole where the limits
+        ask for it. A hold pauses it, until it is released. While a reaction takes the place of
+        control or a contact is lost, it waits, for up to 5 s; then NotReachedError, and it ends.
+
+        Parameters
+        ----------
+        positions_world
+            Points of the path, shape (k, 3) [m].
+        speed
+            Between them [m/s], where no times are given.
+        times
+            When each is to be passed, rising from 0 s or later, shape (k,) [s].
+        quaternions_xyzw
+            Orientations at the points, shape (k, 4); by default the present one.
+        on_progress
+            Called about ten times a second with the newest status: `trajectory_share`,
+            `remaining_time`.
+
+        Raises
+        ------
+        CommandRefusedError
+            With the reason, and the index of the point; nothing moves then.
+        NotReachedError
+            With the place and the cause.
+
+        """
+        messages.require_positive('speed', speed, 'm/s')
+        positions = np.asarray(positions_world, dtype=float)
+        if positions.ndim != 2 or positions.shape[1:] != (3,) or not len(positions):
+            raise messages.MessageError(
+                'positions_world', 'shape (k, 3)', positions.shape
+            )
+        if times is None:
+            ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+            times = np.concatenate([[0.0], np.cumsum(ways / speed)])
+        passed = messages.finite_array(times, len(positions), 'times')
+        if quaternions_xyzw is None:
+            present = self.read().quaternion_desired
+            quaternions = np.tile(present, (len(positions), 1))
+        else:
+            quaternions = np.asarray(quaternions_xyzw, dtype=float)
+            if quaternions.shape != (len(positions), 4):
+                raise messages.MessageError(
+                    'quaternions_xyzw',
+                    f'shape ({len(positions)}, 4)',
+                    quaternions.shape,
+                )
+        self._command_path(TimedPoses(passed, positions, quaternions))
+        self.await_path(on_progress)
+
+    def await_path(
+        self, on_progress: Callable[[ControllerStatus], None] | None = None
+    ) -> None:
+        """
+        Wait until the controller has followed the path that it follows; see `follow`.
+
+        It may be that of another program. Returns at once if there is none.
+        """
+        goal = self.read().pose_desired
+        try:
+            self._watch_path(goal, on_progress or ignore_progress, math.inf)
+        except NotReachedError:
+            self._abandon_path()
+            raise
+
+    def end_path(self) -> ControllerStatus:
+        """Let the controller end the path that it follows, if any; return what it says then."""
+        none = TimedPoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+        return self._command_path(none)
+
+    def _command_path(self, points: TimedPoses) -> ControllerStatus:
+        """Command a path until it is accepted; return what the controller says then."""
+        message = messages.trajectory_message(points)
+        return self.command_until_answered(topics.TRAJECTORY_COMMAND, message)
+
+    def _abandon_path(self) -> None:
+        """End a path without waiting for an answer."""
+        none = TimedPoses(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
+        self.publish_command(
+            topics.TRAJECTORY_COMMAND,
+            messages.trajectory_message(none),
+            new_identifier(),
+        )
+
+    def _watch_path(
+        self,
+        goal: Pose,
+        on_progress: Callable[[ControllerStatus], None],
+        longest_hold: float,
+    ) -> None:
+        """Wait for the end of a path, which may be held for so long [s]; NotReachedError."""
         interrupted = 0.0
-        state = start
-        while elapsed < duration:
+        told_at = -math.inf
+        state = self.read()
+        self.take_statuses()
+        status = self._known_status()
+        while status.trajectory:
             last_time = state.time
             state = self.read()
-            advance = min(state.time - last_time, LONGEST_ADVANCE)
-            self.find_acceptance(
-                identifier
-            )  # what it refuses of the way ends the motion
+            self.take_statuses()
             status = self._known_status()
-            if not _is_controlled(status):
-                interrupted += advance
-                _require_passing(status, state, goal, interrupted)
-                continue
-            interrupted = 0.0
-            elapsed += advance
-            s, ds, dds = quintic_blend(elapsed, duration)
-            rotation = Rotation.from_rotvec(s * way[3:]) * start_rotation
-            point = messages.motion_message(
-                start.position_desired + s * way[:3],
-                rotation.as_quat(),
-                ds * way,
-                dds * way,
+            waits = status.trajectory.startswith('waiting') or not _is_controlled(
+                status
             )
-            self.publish_command(topics.MOTION_COMMAND, point, identifier)
-        self.command_until_answered(topics.MOTION_COMMAND, point)
+            is_held = status.held and longest_hold < math.inf
+            if waits or is_held:
+                interrupted += state.time - last_time
+                if not status.held or is_held:
+                    _require_passing(status, state, goal, interrupted)
+            else:
+                interrupted = 0.0
+            if time.monotonic() >= told_at + PROGRESS_PERIOD:
+                told_at = time.monotonic()
+                on_progress(status)
+        on_progress(status)
 
     def _arrive(
         self,
@@ -403,7 +500,7 @@ def _require_passing(
     distance = np.linalg.norm(goal.position_world - state.position_world)
     place = ', '.join(f'{x:.4g}' for x in state.position_world)
     raise NotReachedError(
-        f'{topics.MOTION_COMMAND.name}: ended at [{place}] m, {1e3 * distance:.3g} mm from the '
+        f'{TRAJECTORY}: ended at [{place}] m, {1e3 * distance:.3g} mm from the '
         f'goal: {status.text}'
     )
 
@@ -431,7 +528,7 @@ def _require_free(
     distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
     if distance > position_tolerance or angle > rotation_tolerance:
         raise CommandRefusedError(
-            f'{topics.MOTION_COMMAND.name}: goal: expected at most {position_tolerance:g} m and '
+            f'{TRAJECTORY}: goal: expected at most {position_tolerance:g} m and '
             f'{rotation_tolerance:g} rad (position_tolerance, rotation_tolerance) where contacts '
             f'place the tool, got {distance:.3g} m and {angle:.3g} rad; let go of '
             f'{", ".join(status.placing)} first: command 0 N'
@@ -443,7 +540,7 @@ def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
     shortest = shortest_motion_duration(way, limits)
     if duration < shortest:
         raise CommandRefusedError(
-            f'{topics.MOTION_COMMAND.name}: duration: expected at least {shortest:.3g} s for '
+            f'{TRAJECTORY}: duration: expected at least {shortest:.3g} s for '
             f'{np.linalg.norm(way[:3]):.3g} m and {np.linalg.norm(way[3:]):.3g} rad '
             f'(limits.operational_*), got {duration:g} s'
         )

@@ -10,12 +10,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, LimitsConfig
 from multicontact_control.contact.geometry import offset_shares, project_on_contacts
 from multicontact_control.control.controller import ControllerDesign, ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
+from multicontact_control.control.trajectory import (
+    check_points,
+    check_surfaces,
+    TimedPoses,
+    Trajectory,
+    TrajectoryFollower,
+    TrajectoryProgress,
+)
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
@@ -32,11 +41,29 @@ import numpy as np
 # a tool that follows a surface leaves the height that was commanded, too.
 UNREPORTED_DISTANCE = 0.005
 UNREPORTED_ANGLE = 0.05
+STOPPING_ERROR = 1e-5  # m or rad, by which a stopped trajectory may be off its place
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
 VELOCITIES_IN_DOUBT = (
     'the joint velocities are in doubt (joints_velocity): prove them in motion, '
     'or ~/retry'
 )
+
+
+class TrajectoryRequest(NamedTuple):
+    """A path that was checked, and that is still to be planned."""
+
+    start: Pose  # at rest
+    points: TimedPoses
+    limits: LimitsConfig
+    place: Pose | None  # of the task
+    replaced: TrajectoryFollower | None
+    stops: (
+        bool  # whether it begins where that comes to a stop, and not where the arm is
+    )
+
+    def plan(self) -> Trajectory:
+        """Return the trajectory through the points; any thread may wait for it. CommandError."""
+        return Trajectory(self.start, self.points, self.limits)
 
 
 class ControlLoop:
@@ -284,6 +311,93 @@ class ControlLoop:
             motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout
         )
         return unfree_part
+
+    def set_trajectory(self, points: TimedPoses) -> None:
+        """
+        Follow a path through timed poses from where the arm is, in place of any other motion.
+
+        None of them ends a trajectory. Planning may take longer than a period: where samples come
+        meanwhile, call `request_trajectory`, then `plan` of what it returns in another thread,
+        then `follow` or `keep_trajectory`.
+        """
+        if len(points.times):
+            check_points(points, self.config.limits)
+        request = self.request_trajectory(points)
+        if request is None:
+            return
+        try:
+            trajectory = request.plan()
+        except CommandError:
+            self.keep_trajectory()
+            raise
+        self.follow(request, trajectory)
+
+    def request_trajectory(self, points: TimedPoses) -> TrajectoryRequest | None:
+        """
+        Bring a trajectory that is followed to a stop; return what to plan instead of it.
+
+        `check_points` accepts the points. None if there are none, which ends a trajectory.
+        CommandError if the path leads through a surface that is pressed, or off it. Along the
+        normals of contacts that are sought or held the path has no effect, now or later; there it
+        is replaced by the present place.
+        """
+        if len(points.times) == 0:
+            if self._commanded is not None:
+                self._commanded.stop_trajectory()
+            return None
+        task = self._require_commanded_task()
+        limits = self.config.limits
+        contact_task = self.supervisor.task
+        start = contact_task.reference_pose()
+        stops = False
+        if task.follower is not None and not contact_task.catching_up:
+            start = task.follower.stopping_pose
+            stops = True
+        if self.output is not None:  # where the contacts have brought the tool
+            columns = contact_task.pressed_columns()
+            check_surfaces(points, self.output.pose_des, columns)
+        normals = contact_task.sought_normals()
+        ways = points.positions_world - start.position_world
+        if len(normals):
+            ways = ways - ways @ np.linalg.pinv(normals) @ normals
+        path = points._replace(positions_world=start.position_world + ways)
+        if path.twists_world is not None and len(normals):
+            twists = path.twists_world.copy()
+            twists[:, :3] -= twists[:, :3] @ np.linalg.pinv(normals) @ normals
+            path = path._replace(twists_world=twists)
+        if stops:
+            task.stop_trajectory()
+        return TrajectoryRequest(start, path, limits, task.pose, task.follower, stops)
+
+    def follow(self, request: TrajectoryRequest, trajectory: Trajectory) -> None:
+        """Follow what was planned for a request; CommandError if the task is another by now."""
+        task = self._require_commanded_task()
+        place = task.stopping_pose
+        unchanged = task.follower is request.replaced
+        if request.replaced is None:
+            unchanged = unchanged and place is request.place
+        elif request.stops and task.follower is None and place is not None:
+            way = place.displacement_to(
+                request.start
+            )  # it has come to a stop meanwhile
+            unchanged = bool(np.abs(way).max() < STOPPING_ERROR)
+        if not unchanged:
+            raise CommandError(
+                'trajectory', hint='another motion was commanded meanwhile'
+            )
+        task.set_trajectory(trajectory, at_once=not request.stops)
+
+    def keep_trajectory(self) -> None:
+        """Go on with the trajectory that a request has stopped, if that cannot be planned."""
+        if self._commanded is not None:
+            self._commanded.keep_trajectory()
+
+    @property
+    def progress(self) -> TrajectoryProgress | None:
+        """How far the trajectory is that is followed; None if there is none."""
+        if self._commanded is None or self._commanded.follower is None:
+            return None
+        return self._commanded.follower.progress
 
     def _describe_unfree_part(self, motion: MotionReading) -> str:
         """Return which part of the way to a commanded motion contacts do not leave free."""

@@ -53,12 +53,12 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 8_300,
+    TOP: 8_900,
     'dynamics': 6_600,
     'contact': 4_600,
     'force': 16_000,
     'control': 17_700,
-    LOOP: 3_500,
+    LOOP: 4_200,
     'supervision': 28_600,
     'diagnosis': 3_400,
     'sensor': 3_300,
@@ -70,9 +70,9 @@ BUDGETS = {
     'faults': 12_200,
     'study': 17_300,
     'view': 20_580,
-    'cli': 6_200,
+    'cli': 7_100,
     'sim_bridge': 30_400,
-    'test': 169_500,
+    'test': 172_500,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }

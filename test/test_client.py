@@ -125,7 +125,9 @@ def test_client_presses_moves_and_keeps_pressing(arm, monkeypatch):
 
     monkeypatch.setattr(arm, 'read', late)
     arm.move(goal, duration=1.0)
-    assert np.abs(np.diff([x.position_desired[0] for x in way])).max() < 0.006
+    seen = np.array([(state.time, state.position_desired[0]) for state in way])
+    times, places = seen[np.diff(seen[:, 0], prepend=-1.0) > 0.0].T
+    assert np.abs(np.diff(places) / np.diff(times)).max() < 1.01 * 15.0 / 8.0 * 0.03
     monkeypatch.undo()
     after = reached(arm)
     assert_allclose(after.position_desired, goal, atol=1e-12)
@@ -140,7 +142,7 @@ def test_held_arm_refuses_forces_and_motions_until_it_is_released(arm):
         CommandRefusedError, match='contact_forces/command: ~/hold: the arm'
     ):
         arm.set_forces({'table': 12.0})
-    with pytest.raises(CommandRefusedError, match='motion/command: ~/hold: the arm'):
+    with pytest.raises(CommandRefusedError, match='motion/trajectory: ~/hold: the arm'):
         arm.move(before.position_desired + [0.02, 0.0, 0.0], duration=0.2)
     assert arm.status().held and arm.status().refused >= 2
     held = arm.read()
@@ -172,7 +174,7 @@ def test_refused_forces_and_motions_change_no_target(arm):
             arm.move([0.0, 0.5, 0.5], duration)
     start = arm.read()
     with pytest.raises(
-        CommandRefusedError, match='motion/command: position x: expected -0.6 to'
+        CommandRefusedError, match='motion/trajectory: position x: expected -0.6 to'
     ):
         arm.move(start.position_desired + [2.0, 0.0, 0.0], duration=0.3)
     assert abs(arm.read().position_desired[0] - start.position_desired[0]) < 1e-4
@@ -193,7 +195,7 @@ def test_move_that_the_limits_do_not_allow_is_refused_with_the_shortest_duration
     with pytest.raises(
         CommandRefusedError,
         match=(
-            f'motion/command: duration: expected at least {shortest:g} s for .*'
+            f'motion/trajectory: duration: expected at least {shortest:g} s for .*'
             f'got {duration:g} s'
         ),
     ):
@@ -207,7 +209,7 @@ def test_move_along_a_held_normal_is_refused_and_moves_nothing(arm):
     with pytest.raises(
         CommandRefusedError,
         match=(
-            'motion/command: goal: expected at most 0.005 m .* where contacts place the tool, '
+            'motion/trajectory: goal: expected at most 0.005 m .* where contacts place the tool, '
             'got 0.05 m .* let go of table, board first'
         ),
     ):
@@ -256,7 +258,7 @@ def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(
     with pytest.raises(
         NotReachedError,
         match=(
-            r'motion/command: ended at \[.*\] m, 20 mm from the goal: hold instead of control: '
+            r'motion/trajectory: ended at \[.*\] m, 20 mm from the goal: hold instead of control: '
             'latched'
         ),
     ):

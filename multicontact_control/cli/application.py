@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from multicontact_control import __version__
 from multicontact_control.cli import options
 from multicontact_control.cli.design import design
+from multicontact_control.cli.follow import follow
 from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.robot import calibrate, new_robot, push_test
 from multicontact_control.cli.run import run, simulate, view
@@ -37,6 +38,7 @@ COMMANDS = (
     run,
     simulate,
     view,
+    follow,
     report,
     study,
     identify,
@@ -45,7 +47,7 @@ COMMANDS = (
     new_robot,
     design,
 )
-WITH_ARGUMENTS = (report, study, identify, new_robot, design)  # at least one
+WITH_ARGUMENTS = (follow, report, study, identify, new_robot, design)  # at least one
 
 app = typer.Typer(
     pretty_exceptions_enable=False,

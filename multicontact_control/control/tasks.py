@@ -20,6 +20,7 @@ from multicontact_control.control.motions import (
     PlannedMotion,
     require_free_motion,
 )
+from multicontact_control.control.trajectory import Trajectory, TrajectoryFollower
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -55,11 +56,15 @@ class TaskSource(Protocol):
         Fields of `ContactStateConfig` that they set.
     seeks
         Whether a contact is still to be made, if the source makes them.
+    follower
+        The way along a trajectory that stands still where the arm cannot follow; None if there is
+        none.
 
     """
 
     contact_state: Mapping[str, float]
     seeks: bool
+    follower: TrajectoryFollower | None
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest, beside contact normals INTO the surfaces, shape (r, 3)."""
@@ -152,6 +157,10 @@ class ScenarioTask:
         When the motion is at rest again, infinity for one that does not end [s].
 
     """
+
+    follower: TrajectoryFollower | None = (
+        None  # its motion keeps the times of the scenario
+    )
 
     def __init__(
         self,
@@ -306,6 +315,8 @@ class CommandedTask:
     """
     The task that a user sets, over topics or from a program; `CommandLimits` checks the commands.
 
+    A motion is a stream of set points, or a trajectory that is followed to its end.
+
     Names and leaders are those of a `ScenarioTask`. Until a motion is commanded, `pose` is that
     of the start, and None before. A contact with a force above 0 is force controlled. The task is
     the same object until something else is commanded, or a motion has lasted long enough.
@@ -329,6 +340,10 @@ class CommandedTask:
         self._active: Mask = np.zeros(len(self._names), dtype=bool)
         self._shares = np.full(len(self._names), math.nan)
         self._task: WantedTask | None = None
+        self.follower: TrajectoryFollower | None = None
+        self._next_trajectory: Trajectory | None = None
+        self._ends_trajectory = False  # once it has come to a stop
+        self._time = math.nan  # of the tick before [s]
 
     def set_forces(
         self,
@@ -402,9 +417,62 @@ class CommandedTask:
         self._lasting = lasting
         self._until = math.nan
         self._task = None
+        self.follower = None
+        self._next_trajectory = None
+
+    @property
+    def stopping_pose(self) -> Pose | None:
+        """Where the pose comes to rest if a trajectory is stopped now; None before the start."""
+        if self.follower is None:
+            return self.pose
+        return self.follower.stopping_pose
+
+    def stop_trajectory(self) -> None:
+        """Bring the trajectory that is followed, if any, to a stop, and forget it then."""
+        self._next_trajectory = None
+        self._ends_trajectory = True
+
+    def keep_trajectory(self) -> None:
+        """Go on with a trajectory that was to stop."""
+        self._ends_trajectory = False
+
+    def set_trajectory(self, trajectory: Trajectory, *, at_once: bool = False) -> None:
+        """Follow a trajectory, `at_once` or as soon as another one has come to a stop."""
+        if self.follower is None or at_once:
+            self._follow(trajectory)
+        else:
+            self._next_trajectory = trajectory
+            self._ends_trajectory = True
+
+    def _follow(self, trajectory: Trajectory | None) -> None:
+        """Follow a trajectory, or none and stay."""
+        self.follower = None
+        self._twist = self._acceleration = ZERO_TWIST
+        self._until = math.inf
+        self._task = None
+        self._next_trajectory = None
+        self._ends_trajectory = False
+        if trajectory is not None:
+            self.follower = TrajectoryFollower(trajectory)
+
+    def _advance_trajectory(self, follower: TrajectoryFollower, period: float) -> None:
+        """Go on along a trajectory for a period [s]; once it is over, to the next or none."""
+        if self._ends_trajectory:
+            follower.waits = True
+        state = follower.advance(period)
+        self.pose = state.pose
+        self._twist = state.twist_world
+        self._acceleration = state.acceleration_world
+        self._task = None
+        is_over = follower.time >= follower.trajectory.duration
+        if is_over or (self._ends_trajectory and follower.pace == 0.0):
+            self._follow(self._next_trajectory)
 
     def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
         """Return the commanded task; see `TaskSource.task_at`."""
+        if self.follower is not None:
+            self._advance_trajectory(self.follower, max(0.0, time - self._time))
+        self._time = time
         if math.isnan(self._until):
             self._until = time + self._lasting
         if time > self._until:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.contact.geometry import project_on_contacts
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError
 import numpy as np
@@ -39,6 +38,9 @@ SURFACE_DISTANCE = 0.005  # m that a path may lead out of a surface that is pres
 LARGEST_SINE = 0.5  # ...or the sine of the angle to it: some surfaces are tilted
 BOX_MARGIN = (
     1e-3  # m beyond the workspace box, that a spline may swing between its points
+)
+PACE_TIME = (
+    0.2  # s, in which a trajectory stops, or goes on, where the arm cannot follow
 )
 REST_SPEED = 1e-9  # m/s or rad/s, below which an end of a path is at rest
 NO_WAY = 1e-9  # m or rad, up to which the arm is at the first point already
@@ -230,7 +232,8 @@ class Trajectory:
         end_rates = _turn_into_frames(twists[1:], matrices[:-1])
         end_changes = _turn_into_frames(accelerations[1:], matrices[:-1])
         for turn, rate, change in zip(turns, end_rates[:, 3:], end_changes[:, 3:]):
-            rate[:], change[:] = _rotation_vector_rates(turn, rate, change)
+            if turn.any():
+                rate[:], change[:] = _rotation_vector_rates(turn, rate, change)
         starts = np.zeros_like(ways)
         starts[:, :3] = points.positions_world[:-1]
         ends = np.hstack([points.positions_world[1:], turns])
@@ -264,7 +267,6 @@ class Trajectory:
         powers = np.stack([x**power for power in range(6)], axis=-1)
         polynomials = np.array([_add_derivatives(piece) for piece in coefficients])
         values, rates, changes = np.split(powers @ polynomials, 3, axis=-1)
-        _check_box(values[..., :3], limits)
         clock = self._clock
         path_times = times[:-1, np.newaxis] + x
         ramp_rates = np.zeros_like(x)
@@ -302,6 +304,7 @@ class Trajectory:
                 f'{durations[worst]:.3g} s',
                 hint='a path that is too fast is slowed down as a whole, at most a hundredfold',
             )
+        _check_box(values[..., :3], limits)
         return max(1.0, slowdown)
 
     def evaluate(self, time: float) -> PathState:
@@ -339,6 +342,74 @@ class Trajectory:
             twist[3:] = rate * turn_rate
             acceleration[3:] = rate * rate * in_world[:, 4] + change * turn_rate
         return PathState(Pose(value[:3], rotation), twist, acceleration)
+
+
+class TrajectoryFollower:
+    """
+    The way along a trajectory whose time may stand still.
+
+    Its pace is 1 where the arm follows, and goes to 0 and back by 1 in `PACE_TIME`.
+
+    Parameters
+    ----------
+    trajectory
+        Which is followed from its start on.
+
+    Attributes
+    ----------
+    time, pace
+        Its own time [s], and by how much that advances in a second.
+    waits
+        Whether it is to come to a stop, or to stay there.
+
+    """
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory = trajectory
+        self.time = 0.0
+        self.pace = 1.0  # a trajectory begins at rest
+        self.waits = False
+
+    def advance(self, period: float) -> PathState:
+        """Go on for a period [s], and return where the operational point is to be."""
+        before = self.pace
+        change = period / PACE_TIME
+        if self.waits:
+            pace = max(before - change, 0.0)
+        else:
+            pace = min(before + change, 1.0)
+        pace_rate = 0.0
+        if period > 0.0:
+            pace_rate = (pace - before) / period
+        self.pace = pace
+        self.time += 0.5 * (before + pace) * period
+        state = self.trajectory.evaluate(self.time)
+        if pace == 1.0 and pace_rate == 0.0:
+            return state
+        acceleration = pace * pace * state.acceleration_world
+        acceleration += pace_rate * state.twist_world
+        return PathState(state.pose, pace * state.twist_world, acceleration)
+
+    @property
+    def stopping_pose(self) -> Pose:
+        """Return where the operational point is once it has come to a stop from now on."""
+        way = 0.5 * self.pace * self.pace * PACE_TIME
+        return self.trajectory.evaluate(self.time + way).pose
+
+    @property
+    def progress(self) -> TrajectoryProgress:
+        """Return how far it is."""
+        duration = self.trajectory.duration
+        time = min(self.time, duration)
+        return TrajectoryProgress(time / duration, duration - time, self.waits)
+
+
+class TrajectoryProgress(NamedTuple):
+    """How far a trajectory is."""
+
+    share: float  # of its time, that is over
+    remaining: float  # [s] until it ends, if it does not wait
+    waits: bool  # whether its time stands still, as the arm cannot follow
 
 
 def quintic_coefficients(
@@ -562,64 +633,74 @@ def check_points(points: TimedPoses, limits: LimitsConfig) -> None:
     """
     if len(points.times) == 0:
         raise CommandError('points', 'at least one', 'none')
-    previous = None
-    for index, time in enumerate(points.times.tolist()):
+    parts = [
+        points.times[:, np.newaxis],
+        points.positions_world,
+        points.quaternions_xyzw,
+    ]
+    if points.twists_world is not None:
+        parts.append(points.twists_world)
+    numbers = np.hstack(parts)
+    lengths = np.linalg.norm(points.quaternions_xyzw, axis=1)
+    steps = np.diff(points.times, prepend=-math.inf)
+    for index in range(len(points.times)):
         place = f'point {index}'
-        position = points.positions_world[index]
-        quaternion = points.quaternions_xyzw[index]
-        numbers = [time, *position.tolist(), *quaternion.tolist()]
-        if points.twists_world is not None:
-            numbers += points.twists_world[index].tolist()
-        if not all(map(math.isfinite, numbers)):
-            raise CommandError(place, 'finite numbers', numbers)
-        length = math.hypot(*quaternion.tolist())
-        if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
+        if not np.isfinite(numbers[index]).all():
+            raise CommandError(place, 'finite numbers', numbers[index].tolist())
+        if not abs(lengths[index] - 1.0) <= QUATERNION_TOLERANCE:
             raise CommandError(
-                f'{place}: quaternion', 'a length of 1', f'{quaternion.tolist()}'
+                f'{place}: quaternion',
+                'a length of 1',
+                points.quaternions_xyzw[index].tolist(),
             )
-        if previous is None:
-            in_order = time >= 0.0
-            earliest = 'at least 0 s'
-        else:
-            in_order = time > points.times[index - 1]
-            earliest = (
-                f'more than {points.times[index - 1]:g} s, the time of the point before'
+        time = f'{points.times[index]:g} s'
+        if points.times[index] < 0.0:
+            raise CommandError(f'{place}: time', 'at least 0 s', time)
+        if not steps[index] > 0.0:
+            before = points.times[index - 1]
+            raise CommandError(
+                f'{place}: time',
+                f'more than {before:g} s, the time of the point before',
+                time,
             )
-        if not in_order:
-            raise CommandError(f'{place}: time', earliest, f'{time:g} s')
         try:
-            check_position(position, limits)
+            check_position(points.positions_world[index], limits)
         except CommandError as error:
             raise CommandError(
                 f'{place}: {error.field}', error.expected, error.got
             ) from None
-        rotation = Rotation.from_quat(quaternion)
-        if previous is not None:
-            turn = float((previous.inv() * rotation).magnitude())
-            if turn > LARGEST_TURN:
-                raise CommandError(
-                    f'{place}: turn from the point before',
-                    f'at most {LARGEST_TURN:g} rad',
-                    f'{turn:.3g} rad',
-                )
-        previous = rotation
+    turns = _turns_between(points.quaternions_xyzw)
+    angles = np.linalg.norm(turns, axis=1)
+    for index in np.flatnonzero(angles > LARGEST_TURN).tolist():
+        raise CommandError(
+            f'point {index + 1}: turn from the point before',
+            f'at most {LARGEST_TURN:g} rad',
+            f'{angles[index]:.3g} rad',
+        )
+
+
+def _turns_between(quaternions_xyzw: Matrix) -> Matrix:
+    """Return the rotation vectors from each of k orientations to the next, (k - 1, 3) [rad]."""
+    rotations = Rotation.from_quat(quaternions_xyzw)
+    turns: Matrix = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
+    return turns
 
 
 def check_surfaces(
     points: TimedPoses, start: Pose, columns: Mapping[str, Vector]
 ) -> None:
     """
-    Refuse a path that leads through surfaces that are pressed or sought, or off them.
+    Refuse a path that leads through surfaces that are pressed, or off them.
 
     Their contacts place the tool there, and a path has no effect. It may be off by what a tilted
-    or curved surface makes of it: up to 30 degrees as seen from the start, or 5 mm.
+    or curved surface makes of it: up to 30 degrees as seen from where the tool is, or 5 mm.
 
     Parameters
     ----------
     points
         Of the path.
     start
-        Pose that it begins from.
+        Where the tool is.
     columns
         Of N by the name of the contact or couple, normals INTO the surfaces, shape (6,).
 
@@ -632,15 +713,15 @@ def check_surfaces(
     if not columns:
         return
     N = np.array(list(columns.values()))
-    inwards = N[:, :3].sum(axis=0)
-    for index, position in enumerate(points.positions_world):
-        way = np.zeros(6)
-        way[:3] = position - start.position_world
-        placed = project_on_contacts(way, N)[:3]
-        distance = float(np.linalg.norm(way))
-        depth = float(np.linalg.norm(placed))
+    normals = N[N[:, :3].any(axis=1), :3]
+    inwards = normals.sum(axis=0)
+    ways = points.positions_world - start.position_world
+    placed = ways @ np.linalg.pinv(normals) @ normals
+    distances = np.linalg.norm(ways, axis=1)
+    depths = np.linalg.norm(placed, axis=1)
+    for index, (distance, depth) in enumerate(zip(distances.tolist(), depths.tolist())):
         if depth > max(SURFACE_DISTANCE, LARGEST_SINE * distance):
-            direction = 'through' if placed @ inwards > 0.0 else 'off'
+            direction = 'through' if placed[index] @ inwards > 0.0 else 'off'
             angle = math.degrees(math.asin(min(1.0, depth / distance)))
             raise CommandError(
                 f'point {index}',

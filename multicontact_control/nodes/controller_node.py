@@ -165,7 +165,9 @@ class ControllerNode(ManagedNode):
             [*self._readers],
             may_pause=node_config.lockstep,
         )
-        CommandServers(self, self._loop, self._report, self._get_push_test)
+        self._servers = CommandServers(
+            self, self._loop, self._report, self._get_push_test
+        )
         for topic in self._readers:
             self.create_subscription(
                 topic.message,
@@ -292,6 +294,7 @@ class ControllerNode(ManagedNode):
 
     def do_due_work(self, spinner: Spinner) -> None:
         """Answer a sample that has waited for the gate; at `due`, half a sample or none."""
+        self._servers.poll()
         late = 0 < self.due <= time.monotonic_ns()
         if late:
             self._run_waiting_callbacks(spinner)

@@ -82,6 +82,9 @@ class ReportedState(NamedTuple):
     held: bool = False
     life_cycle: str = ''
     forces: tuple[float, ...] = ()  # commanded [N]
+    trajectory: str = (
+        ''  # of one that is followed: moving, waiting or held, and percent
+    )
 
     @property
     def reaction(self) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
@@ -211,6 +214,7 @@ class ControllerReport:
             loop.held,
             self._node.state,
             tuple(loop.commanded_forces.values()),
+            self._describe_trajectory(with_seconds=False),
         )
 
     def _log_changes(self, before: ReportedState, state: ReportedState) -> None:
@@ -277,10 +281,25 @@ class ControllerReport:
             unwatched=status.unwatched,
             forces=loop.commanded_forces,
             left_out=answer.left_out,
+            trajectory=self._describe_trajectory(),
             placing={name: tuple(x.tolist()) for name, x in columns.items()},
         )
         level = DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK
         return partial(state.to_message, f'{self._node.get_name()}: status', level)
+
+    def _describe_trajectory(self, *, with_seconds: bool = True) -> str:
+        """Return what becomes of a trajectory, and how far it is; see `ControllerStatus`."""
+        progress = self._loop.progress
+        if progress is None:
+            return ''
+        state = 'moving'
+        if self._loop.held:
+            state = 'held'
+        elif progress.waits or self._status.reaction not in (NONE, INFLATE):
+            state = 'waiting'
+        if not with_seconds:
+            return f'{state} {progress.share:.2f}'
+        return f'{state} {progress.share:.4f} {progress.remaining:.3f}'
 
     def _describe_work(self) -> str:
         """Return what the controller does while nothing troubles it, 'ok' if as commanded."""

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Point, PoseStamped, Vector3
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, LimitsConfig
 from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control.trajectory import check_points, TimedPoses
 from multicontact_control.errors import MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.background import Pausing
 from multicontact_control.nodes.controller_report import CommandAnswer, ControllerReport
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
@@ -24,6 +27,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import ColorRGBA, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
@@ -237,6 +241,21 @@ SERVICES = {
 }
 
 
+NO_TRAJECTORY_LEFT = object()
+
+
+def _deserialise_trajectory(data: bytes) -> Any:
+    return deserialize_message(data, topics.TRAJECTORY_COMMAND.message)
+
+
+def _read_trajectory(message: Any, limits: LimitsConfig) -> TimedPoses:
+    """Return the points of a trajectory, checked if there are any; MulticontactError."""
+    points = messages.read_trajectory(message)
+    if len(points.times):
+        check_points(points, limits)
+    return points
+
+
 class CommandServers:
     """
     Hands commands on topics and requests of services to a control loop, and reports each answer.
@@ -274,6 +293,16 @@ class CommandServers:
                 partial(self._answer_message, topic.name, obey_message),
                 qos.EVENT,
             )
+        self._trajectories: deque[Iterator[None]] = deque()  # that are read and planned
+        self._obeyed_trajectory = b''
+        trajectory = topics.TRAJECTORY_COMMAND
+        node.create_subscription(
+            trajectory.message,
+            trajectory.name,
+            self._queue_trajectory,
+            qos.EVENT,
+            raw=True,
+        )
         for name, obey_request in (
             ('tare', self._tare),
             ('hold', self._hold),
@@ -298,6 +327,60 @@ class CommandServers:
         except MulticontactError as error:
             answer = self._refuse(source, identifier, error)
         self._report.report_answer(answer)
+
+    def _queue_trajectory(self, data: bytes) -> None:
+        self._trajectories.append(self._take_trajectory(data))
+
+    def poll(self) -> None:
+        """Go on with trajectories that another thread reads and plans; called between samples."""
+        while self._trajectories:
+            if (
+                next(self._trajectories[0], NO_TRAJECTORY_LEFT)
+                is not NO_TRAJECTORY_LEFT
+            ):
+                return  # it waits for the thread
+            self._trajectories.popleft()
+
+    def _take_trajectory(self, data: bytes) -> Iterator[None]:
+        """
+        Read, plan and follow a trajectory, and report that, or why it is refused.
+
+        A message that comes again while it is followed is accepted, and changes nothing.
+        """
+        source = topics.TRAJECTORY_COMMAND.name
+        compute = self._node.background.compute
+        outcome = yield from compute(_deserialise_trajectory, data)
+        message = outcome.result()
+        identifier = get_identifier(message)
+        repeats = data == self._obeyed_trajectory and self._loop.progress is not None
+        left_out = ''
+        try:
+            if not repeats:
+                left_out = yield from self._follow_trajectory(message)
+                self._obeyed_trajectory = data
+            answer = CommandAnswer(source, identifier, left_out=left_out)
+        except MulticontactError as error:
+            answer = self._refuse(source, identifier, error)
+        self._report.report_answer(answer)
+
+    def _follow_trajectory(self, message: Any) -> Pausing[str]:
+        """Follow the trajectory of a message; return how it differs from what was asked for."""
+        loop = self._loop
+        compute = self._node.background.compute
+        read = yield from compute(_read_trajectory, message, loop.config.limits)
+        request = loop.request_trajectory(read.result())
+        if request is None:
+            return ''
+        planned = yield from compute(request.plan)
+        try:
+            trajectory = planned.result()
+            loop.follow(request, trajectory)
+        except MulticontactError:
+            loop.keep_trajectory()
+            raise
+        if trajectory.slowdown <= 1.0:
+            return ''
+        return f'slowed down {trajectory.slowdown:.3g} times for limits.operational_*'
 
     def _answer_request(
         self, source: str, obey: Callable[[Any], str], request: Any, response: Any

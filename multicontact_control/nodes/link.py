@@ -412,7 +412,11 @@ class ControllerLink(ServiceClientNode):
             )
         self._publishers = {
             topic: create_publisher(self.node, topic)
-            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)
+            for topic in (
+                topics.FORCE_COMMAND,
+                topics.MOTION_COMMAND,
+                topics.TRAJECTORY_COMMAND,
+            )
         }
         # Topics whose first command all readers have.
         self._connected: set[Topic] = set()

@@ -16,30 +16,33 @@ from numbers import Real
 import secrets
 from typing import Any, TypeGuard
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
+from multicontact_control.control.trajectory import TimedPoses
 from multicontact_control.errors import format_count, MessageError
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
 NUMBERS = 'iuf'  # kinds of numpy: text and truth values are none, though numpy reads them as such
 LAST_SECOND = 2**31 - 1  # that a stamp can hold
 JOINT_FIELDS = ('position', 'velocity', 'effort')  # of a JointState, in its order
+# Commands that have their identifier in the header.
+WITH_HEADER = JointState, MultiDOFJointTrajectory
 # Events of a status: the controller's state alone, or the answer to a command.
 STATE = 'state'
 ACCEPTED = 'accepted'
 REFUSED = 'refused'
 
 
-def stamp_to_ns(stamp: Time) -> int:
+def stamp_to_ns(stamp: Time | Duration) -> int:
     """Return a time stamp in whole nanoseconds: exact, unlike seconds as a float."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
@@ -281,6 +284,65 @@ def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
     )
 
 
+def read_trajectory(message: MultiDOFJointTrajectory) -> TimedPoses:
+    """
+    Return the timed poses of a path of the operational point, in world axes; none of an empty one.
+
+    MessageError names the first point, from 0 on, that `read_motion` refuses, or that alone has a
+    twist, or none. Accelerations are not used.
+    """
+    readings = []
+    times = []
+    for index, point in enumerate(message.points):
+        try:
+            readings.append(read_motion(point))
+        except MessageError as error:
+            raise MessageError(
+                f'point {index}: {error.field}', error.expected, error.got
+            ) from None
+        if len(point.velocities) != len(message.points[0].velocities):
+            raise MessageError(
+                f'point {index}: velocities', 'one at all points, or at none'
+            )
+        times.append(stamp_to_ns(point.time_from_start) / NANOSECONDS)
+    twists = None
+    if readings and message.points[0].velocities:
+        twists = np.array([reading.twist_world for reading in readings])
+    return TimedPoses(
+        np.array(times),
+        np.array([reading.position_world for reading in readings]).reshape(-1, 3),
+        np.array([reading.quaternion_xyzw for reading in readings]).reshape(-1, 4),
+        twists,
+    )
+
+
+def trajectory_message(points: TimedPoses) -> MultiDOFJointTrajectory:
+    """Return the command of a path; MessageError names the first point that is no number."""
+    message = MultiDOFJointTrajectory(joint_names=['operational_point'])
+    for index, time in enumerate(points.times.tolist()):
+        twist = np.zeros(6)
+        if points.twists_world is not None:
+            twist = points.twists_world[index]
+        try:
+            point = motion_message(
+                points.positions_world[index],
+                points.quaternions_xyzw[index],
+                twist,
+                np.zeros(6),
+            )
+        except MessageError as error:
+            raise MessageError(
+                f'point {index}: {error.field}', error.expected, error.got
+            ) from None
+        point.accelerations = []
+        if points.twists_world is None:
+            point.velocities = []
+        stamp = ns_to_stamp(round(time * NANOSECONDS))
+        point.time_from_start = Duration(sec=stamp.sec, nanosec=stamp.nanosec)
+        message.points.append(point)
+    return message
+
+
 def _read_twist(twists: Sequence[Twist], field: str) -> Vector:
     """Return the only twist of a list, zero if there is none, shape (6,), linear first."""
     if len(twists) > 1:
@@ -406,9 +468,26 @@ class ControllerStatus:
     unwatched: str = ''
     # The part of an accepted command that is not obeyed; empty for nothing.
     left_out: str = ''
+    # Of the trajectory that is followed: `moving`, `waiting` or `held`, the share of its time that
+    # is over, and the seconds that remain; empty for none.
+    trajectory: str = ''
     # N_i of contacts that are sought or held, along which a motion has no effect, by force and
     # couple, shape (6,).
     placing: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def remaining_time(self) -> float | None:
+        """Return how long the trajectory that is followed goes on [s], None if there is none."""
+        if not self.trajectory:
+            return None
+        return float(self.trajectory.split(' ')[2])
+
+    @property
+    def trajectory_share(self) -> float:
+        """Return the share of its time that is over of the trajectory, 1 if there is none."""
+        if not self.trajectory:
+            return 1.0
+        return float(self.trajectory.split(' ')[1])
 
     @property
     def contact_states(self) -> dict[str, str]:
@@ -489,17 +568,17 @@ def set_identifier(command: Any, identifier: str) -> None:
     """
     Give a command on a topic an identifier, which `~/status` answers with.
 
-    That of forces is any text; that of a motion is a number of 31 bits, 0 for none.
+    That of forces or a trajectory is any text; that of a motion a number of 31 bits, 0 for none.
     """
-    if isinstance(command, JointState):
+    if isinstance(command, WITH_HEADER):
         command.header.frame_id = identifier
     else:
         command.time_from_start.sec = int(identifier or 0)
 
 
 def get_identifier(command: Any) -> str:
-    """Return the identifier of a command of forces or of a motion, empty if it has none."""
-    if isinstance(command, JointState):
+    """Return the identifier of a command on a topic, empty if it has none."""
+    if isinstance(command, WITH_HEADER):
         return str(command.header.frame_id)
     number = command.time_from_start.sec
     return str(number) if number else ''

@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
 # Or what stands in its place: the driver of a robot, another simulator.
@@ -175,6 +175,18 @@ MOTION_COMMAND = Topic(
     content='One transform: pose of the operational point in world axes, with a quaternion of '
     'unit length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number '
     'as identifier, 0 for none.',
+)
+TRAJECTORY_COMMAND = Topic(
+    'motion/trajectory',
+    MultiDOFJointTrajectory,
+    USER,
+    (CONTROLLER,),
+    profile=qos.EVENT,
+    rate='event',
+    content='A whole path of the operational point: of each point time_from_start, one transform '
+    'in world axes with a quaternion of unit length, and its twist at all points or at none. '
+    'Without points it ends the one that is followed. header.frame_id = identifier that '
+    '`~/status` answers with, empty for none.',
 )
 PUSH = Topic(
     f'{SIM}/push',

@@ -68,6 +68,9 @@ BOUNDED_TIME = 0.02
 # 100 Hz is none), or faster than before by so much of them.
 TASK_STEP_TIME = 0.01
 TASK_STEP_SHARE = 0.15
+# m and rad that the task is ahead of the arm, off normals, from where a trajectory waits for it.
+WAITING_DISTANCE = 0.02
+WAITING_ANGLE = 0.1
 PARALLEL = 1e-6  # length that remains of a normal that the others span already
 
 
@@ -181,6 +184,8 @@ class ContactTask:
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
         self._time = self.limits['time']
         self._changed = self.limits['changed']
+        self._linear_ahead = self.limits['linear']['ahead'][0]
+        self._angular_ahead = self.limits['angular']['ahead'][0]
         limits = self.limits['config']
         limits['guarded'] = guarded
         approach = {**config.contact_state.model_dump(), **source.contact_state}
@@ -279,6 +284,8 @@ class ContactTask:
             measured = None
             if not self._guarded:
                 measured = self._columns['alpha_meas']
+            elif self._source.follower is not None:
+                self._source.follower.waits = self._is_behind()
             task = self._source.task_at(time - self._lost_time, measured)
             if task is not self._task:
                 self._write_wanted(task)
@@ -286,6 +293,35 @@ class ContactTask:
         if self._guarded and self._kept is not None:
             self._return_to_task(self._kept)
             self._kept = None
+
+    def _is_behind(self) -> bool:
+        """Return whether the arm cannot follow: behind, bounded, or a contact is lost."""
+        linear = self._linear_ahead
+        angular = self._angular_ahead
+        if (
+            self.catching_up
+            or linear @ linear > WAITING_DISTANCE**2
+            or angular @ angular > WAITING_ANGLE**2
+        ):
+            return True
+        losses = self.states['losses']
+        if not losses.any():
+            return False
+        pressed = (self._codes == contacts.IMPACT) | (self._codes == contacts.HOLDING)
+        lost = self._columns['wanted'] & (losses > 0) & ~pressed
+        return bool(lost[self._leaders].any())
+
+    def reference_pose(self) -> Pose:
+        """Return where the reference is, which may be behind the task, without its contacts."""
+        if not self._guarded:
+            return Pose(*self._task.pose_des)
+        limits = self.limits[0]
+        return Pose(limits['position'].copy(), limits['rotation'].copy())
+
+    @property
+    def catching_up(self) -> bool:
+        """Whether the reference has still to catch up with the task."""
+        return bool(self.limits['catching_up'][0])
 
     def _write_wanted(self, task: WantedTask) -> None:
         """Write what is new in a task into the records; what is the same object stands there."""
@@ -345,6 +381,8 @@ class ContactTask:
         threshold = self.limits['config']['contacts']['contact_threshold']
         felt = self._columns['alpha_meas'] > threshold
         self._kept = (self._active & felt)[self._leaders]
+        if self._source.follower is not None:
+            self._source.follower.pace = 0.0  # it was stopped with the arm
         return self._kept
 
     def _return_to_task(self, kept: Mask) -> None:
@@ -372,11 +410,18 @@ class ContactTask:
 
     def placing_columns(self) -> dict[str, Vector]:
         """Return N_i of what is sought or held, shape (6,), by the force's or couple's name."""
-        places = (self._codes != contacts.FREE) | self._active
+        return self._name_columns((self._codes != contacts.FREE) | self._active)
+
+    def pressed_columns(self) -> dict[str, Vector]:
+        """Return N_i of what is pressed, shape (6,), by the force's or couple's name."""
+        return self._name_columns(self._active)
+
+    def _name_columns(self, chosen: Mask) -> dict[str, Vector]:
+        """Return N_i of some forces and couples, shape (6,), by their names."""
         return {
             name: column['N'].copy()
-            for name, column, does in zip(self._names, self._columns, places)
-            if does
+            for name, column, is_chosen in zip(self._names, self._columns, chosen)
+            if is_chosen
         }
 
 

@@ -83,7 +83,7 @@ SERIES = (
 class RandomTask:
     """Asks for something else at every tick, contacts coming and going."""
 
-    contact_state, seeks = {}, False
+    contact_state, seeks, follower = {}, False, None
 
     def __init__(self, contacts):
         self._generator = np.random.default_rng(0)
@@ -257,7 +257,7 @@ def test_singular_posture_is_refused_where_lambda_is_not_damped(monkeypatch):
 class Follow:
     """Asks for the pose the arm is in, a little beside it, and for the speed it has."""
 
-    contact_state, seeks = {}, False
+    contact_state, seeks, follower = {}, False, None
 
     def __init__(self, offset):
         self.offset = np.array(offset)

@@ -26,7 +26,7 @@ from ros_graph import wait_for
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 CONTACTS = ['table', 'board']
@@ -74,12 +74,16 @@ MOTION = st.builds(
     accelerations=TWISTS,
     transforms=st.lists(TRANSFORM, max_size=2),
 )
+TRAJECTORY = st.builds(
+    MultiDOFJointTrajectory, header=HEADER, points=st.lists(MOTION, max_size=3)
+)
 TAKEN = {
     topics.JOINT_STATES: JOINT_STATE,
     topics.WRENCH: WRENCH,
     topics.NOISE_VARIANCE: JOINT_STATE,
     topics.FORCE_COMMAND: JOINT_STATE,
     topics.MOTION_COMMAND: MOTION,
+    topics.TRAJECTORY_COMMAND: TRAJECTORY,
 }
 EVENT = st.one_of(*(st.tuples(st.tuples(st.just(x), TAKEN[x])) for x in TAKEN))
 ABC = ('a', 'b', 'c')
