@@ -10,11 +10,8 @@ import time
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import project_on_contacts
-from multicontact_control.control.trajectory import (
-    check_position,
-    shortest_motion_duration,
-    TimedPoses,
-)
+from multicontact_control.control.trajectory import shortest_motion_duration
+from multicontact_control.control.trajectory_checks import check_position, TimedPoses
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics

@@ -18,12 +18,14 @@ from multicontact_control.contact.geometry import offset_shares, project_on_cont
 from multicontact_control.control.controller import ControllerDesign, ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.control.trajectory import (
-    check_points,
-    check_surfaces,
-    TimedPoses,
     Trajectory,
     TrajectoryFollower,
     TrajectoryProgress,
+)
+from multicontact_control.control.trajectory_checks import (
+    check_points,
+    check_surfaces,
+    TimedPoses,
 )
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
@@ -57,9 +59,9 @@ class TrajectoryRequest(NamedTuple):
     limits: LimitsConfig
     place: Pose | None  # of the task
     replaced: TrajectoryFollower | None
-    stops: (
-        bool  # whether it begins where that comes to a stop, and not where the arm is
-    )
+
+    # Whether it begins where that comes to a stop, and not where the arm is.
+    stops: bool
 
     def plan(self) -> Trajectory:
         """Return the trajectory through the points; any thread may wait for it. CommandError."""

@@ -272,9 +272,10 @@ class Joint(Record, Protocol):
     velocity: float  # [rad/s]
     inertia: float  # diagonal element of M [kg m^2]
     bias_torque: float  # element of C v + g [N m]
-    drive_gravity_torque: (
-        float  # to the command by the drives themselves, 0 if they add nothing [N m]
-    )
+
+    # To the command by the drives themselves, 0 if they add nothing [N m].
+    drive_gravity_torque: float
+
     watch: JointWatch
     answer: JointAnswer
     gate: JointGate
@@ -476,9 +477,10 @@ class Contact(Record, Protocol):
     alpha_meas: float  # measured force, without `untared` [N]
     untared: float  # what was read in free space, before a touch [N]
     speed_bound: float  # into a surface that has not answered, 0 for none [m/s]
-    borne_acceleration: (
-        float  # what such a surface was found to bear, as an acceleration [m/s^2]
-    )
+
+    # What such a surface was found to bear, as an acceleration [m/s^2].
+    borne_acceleration: float
+
     noise_variance: float  # R_k [N^2]
 
     # Whether the measured force is fed forward, as the surface seems to be gone.

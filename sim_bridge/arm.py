@@ -113,9 +113,10 @@ class Arm:
     face_mass: float  # of the sensor's face [kg]
     tool: Body  # hangs on the sensor, in the sensor's frame
     tips: Mapping[str, Vector3]  # of the tool, by URDF link, in the sensor's frame [m]
-    source_urdf: str = (
-        ''  # text of a URDF with sensor and tool that the arm was read from
-    )
+
+    # Text of a URDF with sensor and tool that the arm was read from.
+    source_urdf: str = ''
+
     visuals: Mapping[str, str] = field(default_factory=dict)  # elements by URDF link
 
     @property

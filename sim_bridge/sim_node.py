@@ -60,9 +60,8 @@ RESENDS = 16  # times that a sample is sent in lockstep within that
 LAST_ANSWER_TIME = (
     NANOSECONDS // 10
 )  # for the command that answers the last sample [ns]
-WAIT_FRACTION = (
-    0.5  # of a period, for the command of a sample before the plant moves on
-)
+# Of a period, for the command of a sample before the plant moves on.
+WAIT_FRACTION = 0.5
 # s without a command, free-running; then the drives hold their position.
 COMMAND_TIMEOUT = 0.05
 TOOL = 'tool'

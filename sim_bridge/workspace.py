@@ -21,9 +21,8 @@ GROWTH = 0.05  # m, by which a side of the box moves out
 SPACING = 0.15  # m between the points that are tried on a side, at most
 LARGEST_DISTANCE = 1.0  # m from home to a side
 STOP_MARGIN = 0.1  # rad that every joint keeps from its stops
-SINGULAR_MARGIN = (
-    1.25  # times the distance from a singular posture at which motion ends
-)
+# times the distance from a singular posture at which motion ends.
+SINGULAR_MARGIN = 1.25
 ITERATIONS = 12  # of Newton's method from a point to its neighbour
 REACHED = 1e-6  # m, rad
 DAMPING = 1e-8

@@ -54,10 +54,10 @@ TORQUE_PATH = (
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: 8_900,
-    'dynamics': 6_600,
+    'dynamics': 7_750,
     'contact': 4_600,
     'force': 16_000,
-    'control': 17_700,
+    'control': 17_000,
     LOOP: 4_200,
     'supervision': 28_600,
     'diagnosis': 3_400,

@@ -3,7 +3,7 @@
 import signal
 
 from multicontact_control.client import CommandRefusedError, MultiContactClient
-from multicontact_control.control.trajectory import TimedPoses
+from multicontact_control.control.trajectory_checks import TimedPoses
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, topics
 import numpy as np

@@ -1,7 +1,7 @@
 """A trajectory that the control loop follows: its points, and what interrupts and ends it."""
 
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.control.trajectory import TimedPoses
+from multicontact_control.control.trajectory_checks import TimedPoses
 from multicontact_control.errors import CommandError
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve

@@ -17,9 +17,8 @@ KINDS: dict[str, tuple[int, ...]] = {
     'plane': (FORCE, ALONG, ACROSS),
 }
 SUFFIXES = {FORCE: '', ALONG: '/along', ACROSS: '/across'}
-LARGEST_OFFSET = (
-    0.8  # of the commanded centre of pressure from the centre [half lengths]
-)
+# Of the commanded centre of pressure from the centre [half lengths].
+LARGEST_OFFSET = 0.8
 
 
 class ContactConfig(Config):

@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 # Of N with points of length 1; columns are dependent below it.
 SMALLEST_SINGULAR_VALUE = 1e-6
 LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
-NORMAL_TIME = (
-    0.06  # s, in which an estimated normal turns; 0.03 s swings where it is rough
-)
+# s, in which an estimated normal turns; 0.03 s swings where it is rough.
+NORMAL_TIME = 0.06
 SURFACE_SPEED_TIME = 0.05  # s, time constant of an estimated speed of a surface
 ORIENTATIONS = Rotation.from_rotvec(
     [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]

@@ -16,9 +16,8 @@ from multicontact_control.config.contact import FORCE
 from multicontact_control.records import Contact, Frame, Records
 import numpy as np
 
-SLIDING_SPEED = (
-    0.03  # m/s, from which on sliding has a direction; approaches are slower
-)
+# m/s, from which on sliding has a direction; approaches are slower.
+SLIDING_SPEED = 0.03
 PRESSED = 3.0  # N, from which on the direction of a force is
 STEEP = 0.32  # squared sine of 34 degrees to the surface as told, up to which it is slid along
 

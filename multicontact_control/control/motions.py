@@ -19,13 +19,15 @@ from multicontact_control.config import (
 )
 from multicontact_control.config.base import Vector as Numbers
 from multicontact_control.control.trajectory import (
+    RampedTime,
+    shortest_motion_duration,
+    Trajectory,
+)
+from multicontact_control.control.trajectory_checks import (
     check_points,
     check_surfaces,
     LARGEST_SINE,
-    RampedTime,
-    shortest_motion_duration,
     TimedPoses,
-    Trajectory,
 )
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError

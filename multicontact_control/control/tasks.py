@@ -158,9 +158,8 @@ class ScenarioTask:
 
     """
 
-    follower: TrajectoryFollower | None = (
-        None  # its motion keeps the times of the scenario
-    )
+    # Its motion keeps the times of the scenario.
+    follower: TrajectoryFollower | None = None
 
     def __init__(
         self,

@@ -9,64 +9,46 @@ to piece; to evaluate one takes the polynomials of one piece.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
+from multicontact_control.control.trajectory_checks import (
+    AXES,
+    TimedPoses,
+    turns_between,
+)
+from multicontact_control.dynamics.rotation_vectors import (
+    find_rotation_vector_rates,
+    turn_by_rotation_vector,
+)
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-AXES = 'position x', 'position y', 'position z'
 # Peaks of b' and b'' of a quintic over a duration of 1.
 QUINTIC_SPEED = 15.0 / 8.0
 QUINTIC_ACCELERATION = 10.0 / math.sqrt(3.0)
-RAMP_TIME = (
-    0.5  # s, in which a path that does not begin or end at rest is started or stopped
-)
-RAMP_RATE = (
-    1.5  # the largest rate of a ramp's speed, over a duration and to a speed of 1
-)
-LEAD_IN_SHARE = (
-    0.2  # of the limits, with which the arm goes to a first point without a time
-)
-SURFACE_DISTANCE = 0.005  # m that a path may lead out of a surface that is pressed...
-LARGEST_SINE = 0.5  # ...or the sine of the angle to it: some surfaces are tilted
-BOX_MARGIN = (
-    1e-3  # m beyond the workspace box, that a spline may swing between its points
-)
-PACE_TIME = (
-    0.2  # s, in which a trajectory stops, or goes on, where the arm cannot follow
-)
+# s, in which a path that does not begin or end at rest is started or stopped.
+RAMP_TIME = 0.5
+# The largest rate of a ramp's speed, over a duration and to a speed of 1.
+RAMP_RATE = 1.5
+# Of the limits, with which the arm goes to a first point without a time.
+LEAD_IN_SHARE = 0.2
+# m beyond the workspace box, that a spline may swing between its points.
+BOX_MARGIN = 1e-3
+# s, in which a trajectory stops, or goes on, where the arm cannot follow.
+PACE_TIME = 0.2
 REST_SPEED = 1e-9  # m/s or rad/s, below which an end of a path is at rest
 NO_WAY = 1e-9  # m or rad, up to which the arm is at the first point already
-LARGEST_TURN = 2.9  # rad between two points; half a turn could go either way
-QUATERNION_TOLERANCE = 0.01  # of its length from 1
 # How much longer than asked for a path may take; beyond, its times are taken for a mistake.
 LARGEST_SLOWDOWN = 100.0
 LIMIT_SHARE = 0.99  # of a limit, for what lies between the instants that are looked at
 INSTANTS = 13  # of each piece, that are looked at
 RAMP_INSTANTS = 301  # of a ramp, between which its inverse is interpolated
-SMALL_ANGLE = (
-    0.03  # rad, below which the factors of a rotation vector come from their series
-)
-
-
-class TimedPoses(NamedTuple):
-    """
-    Points of a path of the operational point in world axes, k of them.
-
-    Without twists, a spline goes through the points.
-    """
-
-    times: Vector  # from the start on, rising, shape (k,) [s]
-    positions_world: Matrix  # shape (k, 3) [m]
-    quaternions_xyzw: Matrix  # shape (k, 4)
-    twists_world: Matrix | None = None  # linear first, shape (k, 6) [m/s, rad/s]
 
 
 class PathState(NamedTuple):
@@ -164,9 +146,8 @@ class Trajectory:
 
     def __init__(self, start: Pose, points: TimedPoses, limits: LimitsConfig) -> None:
         self._beginnings: list[float] = []  # of the pieces, in path time [s]
-        self._coefficients: list[
-            Matrix
-        ] = []  # powers 0 to 5, position and rotation vector
+        # Of the powers 0 to 5, for position and rotation vector.
+        self._coefficients: list[Matrix] = []
         self._rotations: list[Matrix] = []  # at the beginning of each piece
         first_time = float(points.times[0])
         first_pose = Pose.from_quaternion(
@@ -216,9 +197,7 @@ class Trajectory:
         durations = np.diff(times)
         rotations = Rotation.from_quat(points.quaternions_xyzw)
         matrices = rotations.as_matrix()
-        turns = (
-            rotations[:-1].inv() * rotations[1:]
-        ).as_rotvec()  # in the frame before
+        turns = turns_between(rotations)
         ways = np.empty((len(durations), 6))
         ways[:, :3] = np.diff(points.positions_world, axis=0)
         ways[:, 3:] = rotations[:-1].apply(turns)
@@ -233,7 +212,7 @@ class Trajectory:
         end_changes = _turn_into_frames(accelerations[1:], matrices[:-1])
         for turn, rate, change in zip(turns, end_rates[:, 3:], end_changes[:, 3:]):
             if turn.any():
-                rate[:], change[:] = _rotation_vector_rates(turn, rate, change)
+                rate[:], change[:] = find_rotation_vector_rates(turn, rate, change)
         starts = np.zeros_like(ways)
         starts[:, :3] = points.positions_world[:-1]
         ends = np.hstack([points.positions_world[1:], turns])
@@ -261,9 +240,8 @@ class Trajectory:
     ) -> float:
         """Return by how much the path is to be slowed down for the limits, at least 1."""
         durations = np.diff(times)
-        x = durations[:, np.newaxis] * np.linspace(
-            0.0, 1.0, INSTANTS
-        )  # (k - 1, INSTANTS)
+        shares = np.linspace(0.0, 1.0, INSTANTS)
+        x = durations[:, np.newaxis] * shares  # shape (k - 1, INSTANTS)
         powers = np.stack([x**power for power in range(6)], axis=-1)
         polynomials = np.array([_add_derivatives(piece) for piece in coefficients])
         values, rates, changes = np.split(powers @ polynomials, 3, axis=-1)
@@ -333,7 +311,7 @@ class Trajectory:
         acceleration = rate * rate * second + change * first
         rotation = self._rotations[piece]
         if self._turning[piece]:
-            in_frame = _turning_columns(
+            in_frame = turn_by_rotation_vector(
                 value[3:].tolist(), first[3:].tolist(), second[3:].tolist()
             )
             in_world = rotation @ np.array(in_frame)
@@ -467,9 +445,8 @@ def _spline_derivatives(
 ) -> tuple[Matrix, Matrix]:
     """Return twists and accelerations of splines at their points, world axes, shape (k, 6)."""
     positions = CubicSpline(times, points.positions_world, bc_type='natural')
-    turning = RotationSpline(
-        times, rotations
-    )  # its rates are those of the body in its axes
+    # Its rates are those of the body, in the axes of the body.
+    turning = RotationSpline(times, rotations)
     twists = np.hstack([positions(times, 1), rotations.apply(turning(times, 1))])
     accelerations = np.hstack([positions(times, 2), rotations.apply(turning(times, 2))])
     return twists, accelerations
@@ -516,84 +493,6 @@ def _sizes(rates: Matrix) -> tuple[Matrix, Matrix]:
     return linear, angular
 
 
-def _rotation_vector_rates(
-    theta: Vector, omega: Vector, alpha: Vector
-) -> tuple[Vector, Vector]:
-    """Return d theta and dd theta of a turn with an angular speed and acceleration."""
-    rest = [0.0, 0.0, 0.0]
-    axes = np.eye(3).tolist()
-    turning = [_turning_columns(theta.tolist(), axis, rest) for axis in axes]
-    jacobian = np.array(turning)[:, :, 3].T  # omega = jacobian d theta
-    rate = np.linalg.solve(jacobian, omega)
-    without_change = np.array(_turning_columns(theta.tolist(), rate.tolist(), rest))
-    return rate, np.linalg.solve(jacobian, alpha - without_change[:, 4])
-
-
-def _turning_columns(
-    theta: list[float], rate: list[float], change: list[float]
-) -> tuple[tuple[float, ...], ...]:
-    """
-    Return rotation, angular speed and acceleration of a rotation vector, as rows of (3, 5).
-
-    With phi = |theta|, K the cross product with theta, A = (1 - cos phi) / phi^2 and
-    B = (phi - sin phi) / phi^3: R = I + sin phi / phi K + A K^2, omega = J d theta with
-    J = I + A K + B K^2, alpha = J dd theta + dJ d theta.
-    """
-    x, y, z = theta
-    dx, dy, dz = rate
-    ex, ey, ez = change
-    square = x * x + y * y + z * z
-    phi = math.sqrt(square)
-    if phi < SMALL_ANGLE:
-        S = 1.0 - square / 6.0 * (1.0 - square / 20.0)
-        A = 0.5 - square / 24.0 * (1.0 - square / 30.0)
-        B = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0)
-        dA = -1.0 / 12.0 + square / 180.0  # A' / phi
-        dB = -1.0 / 60.0 + square / 1260.0  # B' / phi
-    else:
-        sine = math.sin(phi)
-        cosine = math.cos(phi)
-        S = sine / phi
-        A = (1.0 - cosine) / square
-        B = (phi - sine) / (square * phi)
-        dA = (phi * sine - 2.0 * (1.0 - cosine)) / (square * square)
-        dB = (3.0 * sine - phi * (2.0 + cosine)) / (square * square * phi)
-    # theta x d theta, and theta x that; the same of dd theta
-    ux, uy, uz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
-    vx, vy, vz = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
-    px, py, pz = y * ez - z * ey, z * ex - x * ez, x * ey - y * ex
-    qx, qy, qz = y * pz - z * py, z * px - x * pz, x * py - y * px
-    along = x * dx + y * dy + z * dz
-    a = dA * along
-    b = dB * along
-    alpha_x = ex + A * px + B * (qx + dy * uz - dz * uy) + a * ux + b * vx
-    alpha_y = ey + A * py + B * (qy + dz * ux - dx * uz) + a * uy + b * vy
-    alpha_z = ez + A * pz + B * (qz + dx * uy - dy * ux) + a * uz + b * vz
-    return (
-        (
-            1.0 - A * (y * y + z * z),
-            A * x * y - S * z,
-            A * x * z + S * y,
-            dx + A * ux + B * vx,
-            alpha_x,
-        ),
-        (
-            A * x * y + S * z,
-            1.0 - A * (x * x + z * z),
-            A * y * z - S * x,
-            dy + A * uy + B * vy,
-            alpha_y,
-        ),
-        (
-            A * x * z - S * y,
-            A * y * z + S * x,
-            1.0 - A * (x * x + y * y),
-            dz + A * uz + B * vz,
-            alpha_z,
-        ),
-    )
-
-
 def shortest_motion_duration(change: Vector, limits: LimitsConfig) -> float:
     """Return the least time of a `quintic_blend` within limits [s] over a way, (6,) [m, rad]."""
     distance = float(np.linalg.norm(change[:3]))
@@ -613,120 +512,3 @@ def _shortest_duration(way: float, speed: float, acceleration: float) -> float:
     by_speed = QUINTIC_SPEED * way / speed
     by_acceleration = math.sqrt(QUINTIC_ACCELERATION * way / acceleration)
     return max(by_speed, by_acceleration)
-
-
-def check_position(position_world: Vector, limits: LimitsConfig) -> None:
-    """Refuse a position outside the workspace box, if any: CommandError names the axis."""
-    for name, x, lower, upper in zip(
-        AXES, position_world, limits.workspace_lower, limits.workspace_upper
-    ):
-        if not lower <= x <= upper:
-            raise CommandError(name, f'{lower:g} to {upper:g} m', f'{x:g} m')
-
-
-def check_points(points: TimedPoses, limits: LimitsConfig) -> None:
-    """
-    Refuse points that are no path: CommandError names the first such point, from 0 on.
-
-    There is a point, all numbers are finite, times rise from 0 or later, quaternions have unit
-    length and turn by less than half a turn, and positions are within the workspace box.
-    """
-    if len(points.times) == 0:
-        raise CommandError('points', 'at least one', 'none')
-    parts = [
-        points.times[:, np.newaxis],
-        points.positions_world,
-        points.quaternions_xyzw,
-    ]
-    if points.twists_world is not None:
-        parts.append(points.twists_world)
-    numbers = np.hstack(parts)
-    lengths = np.linalg.norm(points.quaternions_xyzw, axis=1)
-    steps = np.diff(points.times, prepend=-math.inf)
-    for index in range(len(points.times)):
-        place = f'point {index}'
-        if not np.isfinite(numbers[index]).all():
-            raise CommandError(place, 'finite numbers', numbers[index].tolist())
-        if not abs(lengths[index] - 1.0) <= QUATERNION_TOLERANCE:
-            raise CommandError(
-                f'{place}: quaternion',
-                'a length of 1',
-                points.quaternions_xyzw[index].tolist(),
-            )
-        time = f'{points.times[index]:g} s'
-        if points.times[index] < 0.0:
-            raise CommandError(f'{place}: time', 'at least 0 s', time)
-        if not steps[index] > 0.0:
-            before = points.times[index - 1]
-            raise CommandError(
-                f'{place}: time',
-                f'more than {before:g} s, the time of the point before',
-                time,
-            )
-        try:
-            check_position(points.positions_world[index], limits)
-        except CommandError as error:
-            raise CommandError(
-                f'{place}: {error.field}', error.expected, error.got
-            ) from None
-    turns = _turns_between(points.quaternions_xyzw)
-    angles = np.linalg.norm(turns, axis=1)
-    for index in np.flatnonzero(angles > LARGEST_TURN).tolist():
-        raise CommandError(
-            f'point {index + 1}: turn from the point before',
-            f'at most {LARGEST_TURN:g} rad',
-            f'{angles[index]:.3g} rad',
-        )
-
-
-def _turns_between(quaternions_xyzw: Matrix) -> Matrix:
-    """Return the rotation vectors from each of k orientations to the next, (k - 1, 3) [rad]."""
-    rotations = Rotation.from_quat(quaternions_xyzw)
-    turns: Matrix = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
-    return turns
-
-
-def check_surfaces(
-    points: TimedPoses, start: Pose, columns: Mapping[str, Vector]
-) -> None:
-    """
-    Refuse a path that leads through surfaces that are pressed, or off them.
-
-    Their contacts place the tool there, and a path has no effect. It may be off by what a tilted
-    or curved surface makes of it: up to 30 degrees as seen from where the tool is, or 5 mm.
-
-    Parameters
-    ----------
-    points
-        Of the path.
-    start
-        Where the tool is.
-    columns
-        Of N by the name of the contact or couple, normals INTO the surfaces, shape (6,).
-
-    Raises
-    ------
-    CommandError
-        That names the first such point, from 0 on, and the contacts.
-
-    """
-    if not columns:
-        return
-    N = np.array(list(columns.values()))
-    normals = N[N[:, :3].any(axis=1), :3]
-    inwards = normals.sum(axis=0)
-    ways = points.positions_world - start.position_world
-    placed = ways @ np.linalg.pinv(normals) @ normals
-    distances = np.linalg.norm(ways, axis=1)
-    depths = np.linalg.norm(placed, axis=1)
-    for index, (distance, depth) in enumerate(zip(distances.tolist(), depths.tolist())):
-        if depth > max(SURFACE_DISTANCE, LARGEST_SINE * distance):
-            direction = 'through' if placed[index] @ inwards > 0.0 else 'off'
-            angle = math.degrees(math.asin(min(1.0, depth / distance)))
-            raise CommandError(
-                f'point {index}',
-                f'at most {math.degrees(math.asin(LARGEST_SINE)):.0f} degrees or '
-                f'{1e3 * SURFACE_DISTANCE:g} mm out of the surfaces of {", ".join(columns)}',
-                f'{angle:.0f} degrees, {1e3 * depth:.3g} mm {direction} them',
-                hint='there the contacts place the tool until they are let go (0 N)',
-            )

@@ -25,9 +25,8 @@ RESTED_SHARE = 0.5
 AT_REST_SHARE = 0.5
 # As `EXPLAINED`, over the joints at rest, of the torque of gravity.
 MULTIPLE = 0.95
-NEAR_OPPOSITE = (
-    0.2  # distance of that multiple from -1, within which it is another sign
-)
+# Distance of that multiple from -1, within which it is another sign.
+NEAR_OPPOSITE = 0.2
 OTHER_UNIT = 1.5  # size of that multiple, from which on it is another unit
 # What to say of a residual that follows one of `REGRESSORS`.
 FOLLOWED = {

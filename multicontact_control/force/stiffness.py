@@ -58,9 +58,8 @@ FULL_FRICTION_SPEED = 3e-3  # m/s, of sliding, at which friction is near its ful
 # r^2 from which on a fit is believed.
 SLOW_SHARE = 0.3
 FAST_SHARE = 0.5
-FAST_EXCESS = (
-    1.5  # factor of stiffness from which on the fast fit overrules the slow one
-)
+# Factor of stiffness from which on the fast fit overrules the slow one.
+FAST_EXCESS = 1.5
 INERTIA_SHARE = 0.8  # of k / m, which the square of the fastest pole stays below
 SLOWEST_POLE = 10.0  # 1/s, of the second pole
 ACCEPTED_TIME = 0.3  # s after a touch or a step, in which the slow fit accepts samples
@@ -69,9 +68,8 @@ LARGEST_DAMPING = 60.0  # N s/m, of the model
 FALL_TIME = 0.02
 RISE_TIME = 0.004
 INPUT_LIMIT = 40.0  # m/s^2, of |u|
-APPROACH_LIMIT = (
-    0.25  # m/s into the surface, at which a desired force is followed at most
-)
+# m/s into the surface, at which a desired force is followed at most.
+APPROACH_LIMIT = 0.25
 SMALLEST_RESIDUAL = 0.03  # N; what is left is never taken for smaller
 CORRELATION = 8.0  # samples of a band-passed signal for one that is independent
 LEAST_WEIGHT = 5.0  # samples, for a fit

@@ -17,9 +17,8 @@ SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last forc
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
 SETTLE_AFTER_PUSH = 1.0  # s, left out of the quiet windows
 LEAST_MOVING_SPEED = 1e-3  # m/s, from which on a commanded pose moves
-LEAST_TRUTH_SHARE = (
-    0.9  # of the time under load, for which a true force has to be known
-)
+# Of the time under load, for which a true force has to be known.
+LEAST_TRUTH_SHARE = 0.9
 ROUNDING_TIME = 1e-9  # s, by which the stamp of a sample may be off by rounding
 
 

@@ -82,9 +82,9 @@ class ReportedState(NamedTuple):
     held: bool = False
     life_cycle: str = ''
     forces: tuple[float, ...] = ()  # commanded [N]
-    trajectory: str = (
-        ''  # of one that is followed: moving, waiting or held, and percent
-    )
+
+    # Of one that is followed: moving, waiting or held, and percent.
+    trajectory: str = ''
 
     @property
     def reaction(self) -> tuple[str, tuple[str, ...], tuple[str, ...]]:

@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point, PoseStamped, Vector3
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, LimitsConfig
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.control.trajectory import check_points, TimedPoses
+from multicontact_control.control.trajectory_checks import check_points, TimedPoses
 from multicontact_control.errors import MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics

@@ -23,16 +23,13 @@ from rclpy.serialization import serialize_message
 # not one of them.
 SELF_REPORTING = (CONTROLLER, ESTIMATOR)
 PERIOD = NANOSECONDS  # ns, from report to report: one second
-PAUSE = (
-    5_000_000  # ns, between two steps of a report: samples of 500 Hz come in between
-)
+# ns, between two steps of a report: samples of 500 Hz come in between.
+PAUSE = 5_000_000
 NO_STEP_LEFT = object()
-STALE_PERIODS = (
-    25  # age of a stale input, in periods: more than a busy machine delays a message
-)
-MISSING_AGE = (
-    1.0  # s of silence that an operator should know of; a shorter one is in the report
-)
+# Age of a stale input, in periods: more than a busy machine delays a message.
+STALE_PERIODS = 25
+# s of silence that an operator should know of; a shorter one is in the report.
+MISSING_AGE = 1.0
 DISCOVERY_TIME = 3.0  # s in which nodes that start together find each other
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz, 4 at 1 kHz
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}

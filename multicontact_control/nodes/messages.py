@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.control.trajectory import TimedPoses
+from multicontact_control.control.trajectory_checks import TimedPoses
 from multicontact_control.errors import format_count, MessageError
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np

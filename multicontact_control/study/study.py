@@ -32,9 +32,8 @@ import pandas as pd
 from rich.console import Console
 
 DPI = 130  # of the figure
-MOST_REMARKS = (
-    20  # on runs that ended early; a study that fails as a whole has thousands
-)
+# on runs that ended early; a study that fails as a whole has thousands.
+MOST_REMARKS = 20
 STUDY_FILE = 'study.json'
 TABLE_FILE = 'study.parquet'
 CSV_FILE = 'study.csv'

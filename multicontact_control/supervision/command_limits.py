@@ -13,7 +13,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.control.trajectory import AXES, check_position
+from multicontact_control.control.trajectory_checks import AXES, check_position
 from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 

@@ -74,9 +74,8 @@ RETRACT_DISTANCE = 0.01  # m, way back from a surface that is left
 # The touch, and the force after it.
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
 IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
-IMPACT_FORCE = (
-    10.0  # N, of a touch at the approach speed on the modelled surface, at most
-)
+# N, of a touch at the approach speed on the modelled surface, at most.
+IMPACT_FORCE = 10.0
 # N/s, rise of the desired force of a contact that was lost, from touch on.
 FORCE_RATE = 100.0
 EXCESS = 1.5  # times that force, above which more is felt than it asks for
@@ -124,9 +123,10 @@ class ContactState(Record, Protocol):
 
     state: int  # one of those above
     losses: int  # how often it was lost since it was first wanted
-    retract_requested: (
-        bool  # whether it is to be left, or was, for its force or for where it leads
-    )
+
+    # Whether it is to be left, or was, for its force or for where it leads.
+    retract_requested: bool
+
     retry_requested: bool  # whether it is to be sought although it was given up
     wanted: bool  # whether the task asks for it
     alpha_task: float  # force the task asks for [N]
@@ -146,9 +146,10 @@ class ContactState(Record, Protocol):
 
     rebound_lockout: float  # until it may be thrown back again without being lost [s]
     mean_force: float  # force it is held with, averaged [N]
-    surface_displacement: (
-        float  # displacement at which the surface is, NaN if it was never met [m]
-    )
+
+    # Displacement at which the surface is, NaN if it was never met [m].
+    surface_displacement: float
+
     search_start: float  # displacement at which the search began [m]
 
     # By which a surface may be lower where the tip has slid to since a loss [m].
@@ -187,9 +188,8 @@ class ContactState(Record, Protocol):
     touch_place: float
     flat_force_place: float
 
-    preload_time: (
-        float  # until it has more than the preload, of one that has answered late [s]
-    )
+    # Until it has more than the preload, of one that has answered late [s].
+    preload_time: float
 
 
 CONTACT_STATE = record_dtype(ContactState)

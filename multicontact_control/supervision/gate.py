@@ -43,9 +43,8 @@ LIMIT_NAMES = {
     SINGULARITY_BOUNDED: 'reach',
 }
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
-STEEPEST = (
-    1.875  # 15/8, largest slope of the quintic from 0 to 1, which is in the middle
-)
+# 15/8, largest slope of the quintic from 0 to 1, which is in the middle.
+STEEPEST = 1.875
 # s, time constant with which the difference fades where active contacts or the law change by
 # themselves: short, since what has happened is to be answered soon.
 LAW_BLEND_TIME = 0.003

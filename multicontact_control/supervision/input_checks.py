@@ -61,9 +61,8 @@ FARTHEST = 1e3  # rad; no joint is beyond it
 IMPOSSIBLE_SPEED_FACTOR = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
-JUMP_PERIODS = (
-    5.0  # between two joint states, from which on that grows with their number
-)
+# between two joint states, from which on that grows with their number.
+JUMP_PERIODS = 5.0
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten

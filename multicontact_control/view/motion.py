@@ -10,13 +10,12 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.control.motions import evaluate_sine_motion, SineConfig
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.control.trajectory import check_position
+from multicontact_control.control.trajectory_checks import check_position
 from multicontact_control.supervision.command_limits import check_twist
 import numpy as np
 
-USUAL_SPEED = (
-    0.10  # m/s, of the way to a goal, or the share of the limit if that is less
-)
+# m/s, of the way to a goal, or the share of the limit if that is less.
+USUAL_SPEED = 0.10
 USUAL_ACCELERATION = 0.5  # m/s^2, likewise
 APPROACH_RATE = 4.0  # 1/s, at which the rest of the way shrinks
 SPEED_RATE = 20.0  # 1/s, at which the speed becomes what it should be

@@ -4,12 +4,11 @@ import re
 import time
 
 from multicontact_control.config import LimitsConfig
-from multicontact_control.control.trajectory import (
+from multicontact_control.control.trajectory import RampedTime, Trajectory
+from multicontact_control.control.trajectory_checks import (
     check_points,
     check_surfaces,
-    RampedTime,
     TimedPoses,
-    Trajectory,
 )
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError
@@ -225,8 +224,10 @@ def test_points_that_are_no_path_are_refused_in_one_line(change, message):
     assert '\n' not in str(refused.value)
 
 
-def test_points_of_a_path_are_accepted():
-    check_points(random_points(twists=True), BOX)
+def test_points_that_are_accepted_make_a_trajectory():
+    points = random_points(twists=True)
+    check_points(points, BOX)
+    assert len(Trajectory(START, points, BOX).passing_times) == len(points.times)
 
 
 def test_a_path_without_room_to_slow_down_is_refused():
