@@ -499,6 +499,7 @@ class Contact(Record, Protocol):
     ratio_bound: float  # largest likely true stiffness over that of the model in use
     margin: float  # largest ratio at which the force loop is stable, over that one
     wanted: bool  # whether the source of the task asks for it
+    sought: bool  # whether the arm is on its way to the surface, or back from it
     alpha_wanted: float  # force that it asks for [N]
     answer: ForceAnswer
 

@@ -144,7 +144,7 @@ def correct_disturbance(
     for i in range(contacts.shape[0]):
         if contacts[i].answer.active:
             error = component_across(error, contacts[i].normal)
-        elif contacts[i].wanted:
+        elif contacts[i].sought:
             return
     distance = vector_length(error)
     angle = vector_length(rotation_vector_between(task.rotation, frame.rotation))

@@ -643,6 +643,7 @@ def _advance_force(
     escape = min(speed, dot(column.N, frame.twist)) - state.surface_speed
     contacts.advance_contact(state, settings, column.alpha_meas, place, speed, escape)
     answer.active = state.state in contacts.PRESSED
+    column.sought = state.state in contacts.SOUGHT
     answer.alpha_des = contacts.desired_force(state, settings)
     fall_speed = _allow_for_sliding(settings.period, frame, column, state)
     held = state.state == contacts.HOLDING and state.time_in_state > GUARD_TIME

@@ -45,6 +45,7 @@ STATE_NAMES = (
 )
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(STATE_NAMES))
 PRESSED = IMPACT, HOLDING  # where the force law drives it
+SOUGHT = APPROACHING, LOST, RETRACTING  # where its displacement does
 
 # Loss of a contact.
 RELEASE_SHARE = 0.3  # of the force held or asked for, below which it may be lost

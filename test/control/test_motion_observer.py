@@ -50,6 +50,7 @@ class MovingBody:
         # M = 1 and J = 1: a joint for every direction.
         self.inertia['L'][0, :6, :6] = self.inertia['Y'][0, :6, :6] = np.eye(6)
         self.space = np.zeros(1, dtype=MOTION_SPACE)
+        self.contacts = np.zeros(1, dtype=CONTACT)
         self.underway = [np.zeros(6)] * DELAY
 
     def tick(self, acceleration, added_torque=0.0):
@@ -57,7 +58,7 @@ class MovingBody:
         observe_motion(
             self.control[0],
             self.joints,
-            np.zeros(0, dtype=CONTACT),
+            self.contacts,
             self.inertia[0],
             self.space[0],
         )
@@ -115,6 +116,17 @@ def test_disturbance_of_an_arm_at_rest_is_not_learnt():
     for _ in range(50):
         body.tick(np.zeros(6))
     assert_array_equal(body.observer['disturbance'], 0.0)
+
+
+@pytest.mark.parametrize(('sought', 'learnt'), [(True, False), (False, True)])
+def test_disturbance_is_learnt_unless_a_contact_is_sought(sought, learnt):
+    """A contact that is given up is still wanted, but a touch is not to be expected."""
+    body = MovingBody()
+    body.contacts['wanted'] = True
+    body.contacts['sought'] = sought
+    for _ in range(50):
+        body.tick(np.zeros(6))
+    assert body.observer['disturbance'].any() == learnt
 
 
 def test_disturbance_that_holds_an_arm_off_its_reference_is_learnt_at_rest():
