@@ -379,9 +379,8 @@ class ControlLoop:
         if request.replaced is None:
             unchanged = unchanged and place is request.place
         elif request.stops and task.follower is None and place is not None:
-            way = place.displacement_to(
-                request.start
-            )  # it has come to a stop meanwhile
+            # It has come to a stop meanwhile.
+            way = place.displacement_to(request.start)
             unchanged = bool(np.abs(way).max() < STOPPING_ERROR)
         if not unchanged:
             raise CommandError(

@@ -113,9 +113,8 @@ def _field_dtype(kind: Any) -> tuple[Any, ...]:
 
 
 MAX_ORDER = 3  # of an observer's active state
-MAX_STATES = (
-    2 + MAX_DELAY_PERIODS + MAX_ORDER
-)  # force, its rate, delayed inputs, active states
+# Force, its rate, delayed inputs, active states.
+MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER
 MAX_JOINTS = 12  # of an arm
 MAX_COLUMNS = 6  # of N: more are always dependent
 

@@ -33,9 +33,9 @@ class Hand(Record, Protocol):
 
     force: Annotated[Vector, 3]  # [N]
     local: Annotated[Vector, 3]  # the point in the last joint's frame [m]
-    point: Annotated[
-        Vector, 3
-    ]  # the point in the world, kept up to date while it pushes [m]
+
+    # The point in the world, kept up to date while it pushes [m].
+    point: Annotated[Vector, 3]
 
 
 HAND = record_dtype(Hand)

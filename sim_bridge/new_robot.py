@@ -98,9 +98,9 @@ class Draft:
     values: dict[str, Any]  # the entries of the file, see `RobotFile`
     comments: dict[str, str] = field(default_factory=lambda: dict(ENTRY_COMMENTS))
     suspicious: list[str] = field(default_factory=list)  # figures of the URDF
-    missing: list[str] = field(
-        default_factory=list
-    )  # entries that are guessed or left out
+
+    # Entries that are guessed or left out.
+    missing: list[str] = field(default_factory=list)
 
 
 class ArmJoints(NamedTuple):

@@ -49,17 +49,15 @@ from sim_bridge.surface_patch import SurfaceMarkers
 from std_msgs.msg import Header, String
 
 LARGEST_LATENESS = 2  # periods, beyond which a late node moves the deadlines back
-CATCH_UP = (
-    NANOSECONDS // 10
-)  # lag behind the wall clock that lockstep makes up for [ns]
+# Lag behind the wall clock that lockstep makes up for [ns].
+CATCH_UP = NANOSECONDS // 10
 # Time after which sample 0 is sent again [s]: until everything has started, or behind a gate.
 RESEND_PERIOD = 1.0
 RESEND_PERIOD_GATED = 10.0
 ANSWER_TIMEOUT = 10.0  # s, longest wait for a command in lockstep
 RESENDS = 16  # times that a sample is sent in lockstep within that
-LAST_ANSWER_TIME = (
-    NANOSECONDS // 10
-)  # for the command that answers the last sample [ns]
+# For the command that answers the last sample [ns].
+LAST_ANSWER_TIME = NANOSECONDS // 10
 # Of a period, for the command of a sample before the plant moves on.
 WAIT_FRACTION = 0.5
 # s without a command, free-running; then the drives hold their position.

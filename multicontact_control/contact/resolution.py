@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 # A touch is one reading beyond its threshold: by chance one in 30 000 is 4 deviations off.
 SPREAD = 4.0
 # Where the tool may be turned, evenly: axes along those of the world first, as most tools are.
-TURNS = np.concatenate(
-    [Rotation.create_group(name).as_matrix() for name in ('O', 'I')]
-)  # of cube and icosahedron
+# Those of cube and icosahedron.
+TURNS = np.concatenate([Rotation.create_group(name).as_matrix() for name in ('O', 'I')])
 
 
 class Resolution(NamedTuple):

@@ -290,9 +290,8 @@ class Controller:
             self.next_tool = config.tool
             self._slewed = 0
         if config.contacts != self.config.contacts:
-            configure_contacts(
-                config, self.contacts
-            )  # what is learnt of surfaces stays
+            # What is learnt of surfaces stays.
+            configure_contacts(config, self.contacts)
         self._set_configuration(config)
         if self.started:
             continue_laws(design.laws, self.laws)

@@ -380,9 +380,8 @@ class WaypointsMotion:
         ConfigError if the first waypoint cannot be reached in time within the limits.
         """
         self._axes = np.eye(3)
-        self._origin = np.zeros(
-            3
-        )  # from which the coordinates count, relative to the tool
+        # From which the coordinates count, relative to the tool.
+        self._origin = np.zeros(3)
         if self._in_world:
             self._origin = -position_world
         elif self._config.contact in normals:

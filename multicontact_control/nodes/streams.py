@@ -153,9 +153,8 @@ class MessageReader:
         """Keep where the numbers of vectors are, and the words that are equal in all messages."""
         self._vector_places = []
         for vector in marked_vectors:
-            numbers = np.rint(vector / MARK).astype(
-                int
-            )  # from 1, in order of the bytes
+            # From 1, in order of the bytes.
+            numbers = np.rint(vector / MARK).astype(int)
             self._vector_places.append(places[numbers - 1])
         self._number_places = np.concatenate(self._vector_places)
         words = _view_words(data)

@@ -357,9 +357,10 @@ class _SampleClock(NamedTuple):
     """The samples of a recording in the order of their stamps, each once, k of them."""
 
     stamps: NDArray[np.int64]  # shape (k,) [ns]
-    rows: NDArray[
-        np.int64
-    ]  # of the series, at the control rate: ticks since the first sample
+
+    # Of the series, at the control rate: ticks since the first sample.
+    rows: NDArray[np.int64]
+
     published: NDArray[np.uint64]  # when each was sent, shape (k,) [ns since the epoch]
 
     @property

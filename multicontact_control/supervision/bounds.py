@@ -109,9 +109,9 @@ class BoundSpace(Record, Protocol):
 
     factor: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
     response: Annotated[Vector, MAX_BOUNDS]  # G y [rad/s^2]
-    counts: Annotated[
-        Bytes, MAX_BOUNDS
-    ]  # 1 for a bound whose multiplier may be above 0
+
+    # 1 for a bound whose multiplier may be above 0.
+    counts: Annotated[Bytes, MAX_BOUNDS]
 
 
 BOUND_SPACE = record_dtype(BoundSpace)

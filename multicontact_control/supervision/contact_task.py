@@ -200,10 +200,9 @@ class ContactTask:
         self.limits['angular']['least_lead'] = LEAST_TURN
         self.apply_config(config)
         self._set_locked(config.sensor.require_push_test)  # at first
-        state, settings = (
-            self.states[0],
-            limits['contacts'][0],
-        )  # no tick waits for numba
+        # No tick waits for numba.
+        state = self.states[0]
+        settings = limits['contacts'][0]
         contacts.release_contact(state, 0.0, 0.0)
         contacts.resume_contact(state, 0.0, 0.0)
         contacts.restart_free_reading(state, settings, 0.0)

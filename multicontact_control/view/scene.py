@@ -28,9 +28,8 @@ SECTION_COLOUR = (205, 208, 213)
 AXES_LENGTH = 0.15  # m
 AXES_PLACE = (0.1, 0.2, 0.0)  # m
 # The camera looks at a point between the surfaces, moved towards the arm and a little up.
-USUAL_MIDDLE = np.array(
-    [0.0, 0.5, 0.5]
-)  # m, between surfaces whose places are not known
+# m, between surfaces whose places are not known.
+USUAL_MIDDLE = np.array([0.0, 0.5, 0.5])
 TOWARDS_ARM = (1.0, 0.62, 1.0)
 ABOVE_MIDDLE = (0.0, 0.0, 0.09)  # m
 CAMERA_OFFSET = (1.58, -0.58, 0.44)  # m, from the point that the camera looks at
