@@ -36,6 +36,8 @@ endif
 ifeq ($(ROS),native)
   PYTHON ?= $(if $(WITH_ROS),/usr/bin/python3,python3)
   VENV_FLAGS := --system-site-packages
+  # What else is installed must leave its numpy, which its messages and pinocchio are built for.
+  KEPT := 'numpy<2'
   RUN_PACKAGE := .
   VIEW_PACKAGE := .[view]
   TEST_PACKAGE := .[robots,mujoco,dask,view,docs,test]
@@ -47,6 +49,7 @@ else
           2>/dev/null && echo $$python && exit; \
     done; echo python3)
   VENV_FLAGS :=
+  KEPT :=
   RUN_PACKAGE := .[ros]
   VIEW_PACKAGE := .[ros,view]
   TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,view,docs,test]
@@ -54,7 +57,7 @@ else
 endif
 
 BIN := $(VENV)/bin
-PIP := $(WITH_ROS) $(BIN)/python -m pip install -qq --disable-pip-version-check
+PIP := $(WITH_ROS) $(BIN)/python -m pip install -qq --disable-pip-version-check $(KEPT)
 DESCRIPTION := setup.py setup.cfg pyproject.toml multicontact_control/__init__.py
 KEY := $(ROS)-$(shell (pwd; cat $(DESCRIPTION)) | sha256sum | cut -c1-12)
 VENV_STAMP := $(VENV)/.made-$(ROS)-$(shell pwd | sha256sum | cut -c1-12)

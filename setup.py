@@ -20,30 +20,34 @@ console_scripts = {
 }
 
 install_requires = [
-    'numpy>=2.2,<3',
-    'scipy>=1.13,<2',
-    'control>=0.10.1,<0.11',
-    'numba>=0.61,<1',
-    'llvmlite>=0.44,<1',
-    'pin>=4.0,<5',
+    'numpy>=1.26,<3',
+    'scipy>=1.11,<2',
+    'control>=0.10,<0.11',
+    'numba>=0.59,<1',
+    'llvmlite>=0.42,<1',
     'pybullet>=3.2.7,<4',
-    'pydantic>=2.10,<3',
+    'pydantic>=2.5,<3',
     'PyYAML>=6.0.1,<7',
-    'typer>=0.15,<1',
-    'rich>=13.9,<16',
-    'matplotlib>=3.9,<4',
-    'joblib>=1.4,<2',
-    'pandas>=2.2,<4',
-    'pyarrow>=17,<27',
-    'mcap>=1.2,<2',
-    'mcap-ros2-support>=0.5.5,<0.7',
+    'typer>=0.19,<1',
+    'rich>=13.7,<16',
+    'matplotlib>=3.8,<4',
+    'joblib>=1.3,<2',
+    'pandas>=2.1.1,<4',
+    'pyarrow>=14,<27',
+    'mcap>=1.1.1,<2',
+    'mcap-ros2-support>=0.5.3,<0.7',
     'zstandard>=0.22,<1',
-    'rosbags>=0.11,<0.12',
-    'setproctitle>=1.3,<2',
-    'psutil>=5.9,<8',
+    'rosbags>=0.10,<0.12',
+    'setproctitle>=1.3.3,<2',
+    'psutil>=5.9.8,<8',
 ]
 
+# Not in `install_requires`: a native ROS 2 Jazzy has a pinocchio 3 for its numpy 1.26, and PyPI's
+# need numpy 2. PyPI's 3.4 to 3.9 do not load with the newest of what they come with.
+pinocchio = ['pin>=4.0,<5']
+
 extras_require = {
+    'pin': pinocchio,
     # Not for a machine with a native ROS 2 Jazzy. Exact, because the wheels these stand for are
     # pinned by them alone: any other version may bring another ROS 2 distribution. They bring
     # rosgraph_msgs and lifecycle_msgs along.
@@ -51,6 +55,7 @@ extras_require = {
         'ros-jazzy-rclpy==7.1.6',
         'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
         'ros-jazzy-common-interfaces==5.3.6',
+        *pinocchio,
     ],
     # URDFs of robots of config/robots that PyBullet does not bring.
     'robots': [
@@ -85,6 +90,7 @@ extras_require = {
     'test': [
         'pytest>=8,<10',
         'pytest-xdist>=3.6,<4',
+        'uv>=0.5,<1',  # what test_versions.py makes its environments by
         'hypothesis>=6.100,<7',
         # Where there is a Chromium for it to drive; the tests of the pages are skipped elsewhere.
         'playwright>=1.50,<2',

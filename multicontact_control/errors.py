@@ -125,6 +125,10 @@ class RosError(RunError, ImportError):
     """ROS 2 cannot be loaded: what needs it says how to install it, the rest goes on."""
 
 
+class PinocchioError(RunError, ImportError):
+    """Pinocchio cannot be loaded, or computes other terms than it should."""
+
+
 def run_all_checks(*checks: Callable[[], object]) -> list[Any]:
     """Call every check and return their results; ConfigError with the errors of all of them."""
     results = []

@@ -54,7 +54,7 @@ TORQUE_PATH = (
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: 8_900,
-    'dynamics': 7_750,
+    'dynamics': 8_000,
     'contact': 4_600,
     'force': 16_000,
     'control': 17_000,
@@ -72,7 +72,7 @@ BUDGETS = {
     'view': 20_580,
     'cli': 7_100,
     'sim_bridge': 30_400,
-    'test': 177_000,
+    'test': 179_000,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }

@@ -67,6 +67,7 @@ OTHERS = (
     'ros2 run tf2_ros',
     'ssh',
     'strict/bin/',
+    'sudo apt install',
     'tsid/bin/pip install',
 )
 

@@ -57,7 +57,7 @@ def test_both_packages_are_installed_with_all_files(keywords):
 
 def test_every_import_is_declared(keywords):
     lines = list(keywords['install_requires'])
-    for extra in ('dask', 'franka', 'mujoco', 'view'):
+    for extra in ('dask', 'franka', 'mujoco', 'pin', 'view'):
         lines += keywords['extras_require'].get(extra, [])
     declared = {element.text for element in MANIFEST.iter('exec_depend')}
     for line in lines:

@@ -4,20 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+import sys
 from typing import NamedTuple
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig, ToolConfig
-from multicontact_control.dynamics import model_check
+from multicontact_control.dynamics import known_arm, model_check
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.dynamics.urdf import check_link_tree, parse_urdf
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, PinocchioError
 from multicontact_control.records import MAX_JOINTS
 import numpy as np
-import pinocchio as pin
+
+INSTALL = (
+    "pip install 'pin>=4.0,<5' (extra [pin] or [ros]), or, beside a native ROS 2 Jazzy, "
+    'apt install ros-jazzy-pinocchio'
+)
+try:
+    import pinocchio as pin
+except ImportError as error:
+    sys.tracebacklimit = 0  # a node's process ends with one line, as a command does
+    raise PinocchioError(
+        f'pinocchio cannot be loaded: {str(error).splitlines()[0]}; {INSTALL}'
+    ) from None
 
 POSTURES = 64  # in which gravity is compared with the torque limits
 MEETING_AXES = 0.01  # m, between axes whose link may have no mass
@@ -185,23 +198,8 @@ class RobotModel:
 
     def compute(self, q: Vector, v: Vector) -> None:
         """Work out `terms` and `gravity` at positions [rad] and velocities [rad/s], (n,)."""
-        model = self._model
-        data = self._data
-        # M, C v + g, and what the Jacobians need.
-        pin.computeAllTerms(model, data, q, v)
-        pin.updateFramePlacements(model, data)
-        jacobian = pin.getFrameJacobian(
-            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
-        )
-        jacobian_rate = pin.getFrameJacobianTimeVariation(
-            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
-        )
-        self.term_tuple = (
-            *self._joint_terms,
-            jacobian,
-            jacobian_rate,
-            *self._placements,
-        )
+        jacobians = _compute_terms(self._model, self._data, self._frame, q, v)
+        self.term_tuple = (*self._joint_terms, *jacobians, *self._placements)
 
     def update(self, q: Vector, v: Vector) -> RobotState:
         """
@@ -305,6 +303,55 @@ class RobotModel:
         return [_copy_pose(self._data.oMf[frame]) for frame in frames]
 
 
+def _compute_terms(
+    model: pin.Model, data: pin.Data, frame: int, q: Vector, v: Vector
+) -> tuple[Matrix, Matrix]:
+    """Return J and dJ/dt of a frame in world axes; M, C v + g and placements are in the data."""
+    pin.computeAllTerms(model, data, q, v)
+    pin.updateFramePlacements(model, data)
+    axes = pin.LOCAL_WORLD_ALIGNED
+    jacobian = pin.getFrameJacobian(model, data, frame, axes)
+    jacobian_rate = pin.getFrameJacobianTimeVariation(model, data, frame, axes)
+    return jacobian, jacobian_rate
+
+
+@cache
+def require_known_terms() -> None:
+    """
+    Compare what pinocchio computes for a known arm with numbers, once in a process.
+
+    Raises
+    ------
+    PinocchioError
+        With its version and what differs. Pinocchio 2 takes an armature without a word and leaves
+        it out of M.
+
+    """
+    model = pin.buildModelFromXML(known_arm.URDF)
+    model.armature = np.array(known_arm.ARMATURE)
+    model.gravity.linear = np.array(known_arm.GRAVITY)
+    data = model.createData()
+    jacobian, jacobian_rate = _compute_terms(
+        model,
+        data,
+        model.getFrameId(known_arm.TIP, pin.FrameType.BODY),
+        known_arm.POSITIONS,
+        known_arm.VELOCITIES,
+    )
+    found = {
+        'M': np.triu(data.M),
+        'C v + g': data.nle,
+        'J': jacobian,
+        'dJ/dt': jacobian_rate,
+    }
+    differences = known_arm.list_differences(found)
+    if differences:
+        raise PinocchioError(
+            'pinocchio: expected the terms of a known arm, as versions 3 and 4 compute them, '
+            f'got version {pin.__version__}: {", ".join(differences)}; {INSTALL}'
+        )
+
+
 def _list_joints(model: pin.Model) -> list[str]:
     """Return the names of the joints, without the world, which pinocchio counts as the first."""
     return list(model.names)[1:]
@@ -354,8 +401,11 @@ def load_model(
         If the file cannot be read or is no URDF; if joints that are not locked have more than one
         coordinate or no motor of their own (`find_followers`); if a locked joint is unknown; or if
         figures are impossible (`model_check`).
+    PinocchioError
+        If pinocchio computes other terms than it should (`require_known_terms`).
 
     """
+    require_known_terms()
     locked = dict(locked_joints or {})
     text: str | bytes
     try:
