@@ -244,7 +244,7 @@ class ContactTask:
             forces[pressed] = self._task.alpha_des[pressed]
         position = self._frame['position'].copy()
         rotation = self._frame['rotation'].copy()
-        normals = self._columns['normal'][pressed]
+        normals = self._columns['config']['normal'][pressed]
         for state, normal in zip(self.states[pressed], normals):
             position -= state['displacement'] * normal
         pose = Pose(position, rotation)
@@ -386,7 +386,7 @@ class ContactTask:
 
     def _return_to_task(self, kept: Mask) -> None:
         """Let the reference go from where the arm is to the task; contacts go along normals."""
-        normals = self._columns['normal']
+        normals = self._columns['config']['normal']
         gap = self._frame['position'] - self._task.pose_des.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
         settings = self.limits['config']['contacts'][0]
