@@ -37,7 +37,7 @@ install_requires = [
     'mcap>=1.1.1,<2',
     'mcap-ros2-support>=0.5.3,<0.7',
     'zstandard>=0.22,<1',
-    'rosbags>=0.10,<0.12',
+    'rosbags>=0.11,<0.12',
     'setproctitle>=1.3.3,<2',
     'psutil>=5.9.8,<8',
 ]
