@@ -62,7 +62,7 @@ BUDGETS = {
     'supervision': 28_600,
     'diagnosis': 3_400,
     'sensor': 3_300,
-    'config': 6_400,
+    'config': 6_800,
     'nodes': 28_700,
     'runs': 17_500,
     'judging': 27_400,
@@ -76,7 +76,7 @@ BUDGETS = {
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
-MOST_COMPILED = 155  # functions
+MOST_COMPILED = 156  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 11.6, 27
