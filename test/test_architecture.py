@@ -53,7 +53,7 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 8_900,
+    TOP: 9_600,
     'dynamics': 8_000,
     'contact': 4_600,
     'force': 16_000,
@@ -72,7 +72,7 @@ BUDGETS = {
     'view': 20_580,
     'cli': 7_100,
     'sim_bridge': 30_400,
-    'test': 181_000,
+    'test': 183_000,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
