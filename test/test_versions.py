@@ -49,28 +49,22 @@ def registry(tmp_path_factory):
 
 
 @pytest.fixture
-def make_venv(registry, tmp_path):
-    """Return a function that makes a venv with some requirements, and returns its Python."""
+def venv_python(registry, tmp_path):
+    """Return the Python of a new venv without packages."""
+    made = uv('venv', '--quiet', '--python', sys.executable, tmp_path / 'venv')
+    assert made.returncode == 0, made.stderr
+    return tmp_path / 'venv/bin/python'
 
-    def make(requirements, *options, overrides=()):
-        (tmp_path / 'wanted.txt').write_text('\n'.join(requirements))
-        (tmp_path / 'overrides.txt').write_text('\n'.join(overrides))
-        python = tmp_path / 'venv/bin/python'
-        made = uv('venv', '--quiet', '--python', sys.executable, tmp_path / 'venv')
-        assert made.returncode == 0, made.stderr
-        files = (
-            '-r',
-            tmp_path / 'wanted.txt',
-            '--override',
-            tmp_path / 'overrides.txt',
-        )
-        installed = uv(
-            'pip', 'install', '--quiet', '--python', python, *options, *files
-        )
-        assert installed.returncode == 0, installed.stderr
-        return python
 
-    return make
+def install(python, requirements, *options, override=''):
+    """Install requirements; an override takes the place of what others ask of that package."""
+    wanted = python.parent / 'wanted.txt'
+    overrides = python.parent / 'overrides.txt'
+    wanted.write_text('\n'.join(requirements))
+    overrides.write_text(override)
+    files = ('-r', wanted, '--override', overrides)
+    installed = uv('pip', 'install', '--quiet', '--python', python, *options, *files)
+    assert installed.returncode == 0, installed.stderr
 
 
 def run_here(python, *arguments, folder):
@@ -124,7 +118,7 @@ def test_what_is_newest_resolves_beside_a_native_ros(registry, keywords, tmp_pat
     assert resolved.returncode == 0, resolved.stderr
 
 
-def test_core_passes_with_the_lowest_versions(make_venv, keywords, tmp_path):  # noqa: F811
+def test_core_passes_with_the_lowest_versions(venv_python, keywords, tmp_path):  # noqa: F811
     """The wheels of pinocchio ask for numpy 2, and also work with the numpy of a native ROS."""
     requirements = all_requirements(keywords)
     names = [Requirement(line).name for line in requirements]
@@ -140,15 +134,13 @@ def test_core_passes_with_the_lowest_versions(make_venv, keywords, tmp_path):  #
         'matplotlib',
     )
     wheels = [option for name in compiled for option in ('--only-binary', name)]
-    python = make_venv(
-        requirements, '--resolution', 'lowest-direct', *wheels, overrides=[numpy]
-    )
-    found = run_here(
-        python, '-c', 'import numpy; print(numpy.__version__)', folder=tmp_path
-    )
+    options = ('--resolution', 'lowest-direct', *wheels)
+    install(venv_python, requirements, *options, override=numpy)
+    show_numpy = ('-c', 'import numpy; print(numpy.__version__)')
+    found = run_here(venv_python, *show_numpy, folder=tmp_path)
     assert found.stdout.startswith(lowest)
     core = ('-q', '-p', 'no:cacheprovider', '-m', 'not (ros or slow or nightly)')
-    done = run_here(python, '-m', 'pytest', *core, folder=tmp_path)
+    done = run_here(venv_python, '-m', 'pytest', *core, folder=tmp_path)
     assert done.returncode == 0, done.stdout[-5000:]
 
 
@@ -157,24 +149,22 @@ def test_core_passes_with_the_lowest_versions(make_venv, keywords, tmp_path):  #
     [('pin==2.7.0', ['M[0, 0]', 'dJ/dt[']), ('pin==3.3.1', [])],
 )
 def test_a_pinocchio_for_numpy_1_computes_the_known_terms_or_is_refused(
-    make_venv,
+    venv_python,
     keywords,  # noqa: F811
     tmp_path,
     pinocchio,
     differences,
 ):
-    python = make_venv(
-        [*keywords['install_requires'], pinocchio],
-        overrides=['numpy==1.26.4'],
-    )
-    done = run_here(python, '-c', LOAD_KNOWN_ARM, folder=tmp_path)
+    install(venv_python, [*keywords['install_requires'], 'numpy==1.26.4'])
+    install(venv_python, [pinocchio], override='numpy==1.26.4')
+    done = run_here(venv_python, '-c', LOAD_KNOWN_ARM, folder=tmp_path)
     assert (done.returncode == 0) == (not differences), done.stderr
     for text in differences:
         assert text in done.stderr.splitlines()[-1]
     if differences:
         out = tmp_path / 'run'
         command = ('-m', 'multicontact_control.cli', 'simulate', '--scenario', 'quick')
-        refused = run_here(python, *command, '--out', out, folder=tmp_path)
+        refused = run_here(venv_python, *command, '--out', out, folder=tmp_path)
         assert refused.returncode == 1
         assert 'got version 2.7.0' in refused.stderr.splitlines()[-1]
         assert not out.exists()

@@ -21,6 +21,7 @@ from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.integrate import trapezoid
 
 SPACE = np.zeros(1, dtype=FIT_SPACE)[0]
 
@@ -182,7 +183,7 @@ def test_depth_is_the_way_since_the_touch():
     estimate_stiffness(record, 0.5, 10.0, 1.0, 0.0, SPACE)  # not felt yet
     for speed in speeds:
         estimate_stiffness(record, 5.0, 10.0, speed, 0.0, SPACE)
-    assert record['depth'] == pytest.approx(np.trapezoid(speeds, dx=H))
+    assert record['depth'] == pytest.approx(trapezoid(speeds, dx=H))
 
 
 def test_friction_of_others_is_along_their_sliding():

@@ -27,7 +27,7 @@ TOOL = ToolConfig(mass=0.5, com_sensor=(0.01, -0.02, 0.08), bias_sensor=BIAS)
 TILTS = Rotation.from_euler(
     'XZ', [[0, 0], [0.8, 0], [-0.8, 0], [0.8, 1.5], [-0.8, 1.5]]
 )
-POSES = Rotation.random(8, rng=np.random.default_rng(1)).as_matrix()
+POSES = Rotation.random(8, np.random.default_rng(1)).as_matrix()
 
 
 def read_in_poses(rotations, tool=TOOL, noise=0.0, mounting=STRAIGHT, seed=0):
