@@ -14,10 +14,19 @@ def replace_text_file(path: Path, text: str) -> None:
     """
     Replace a file by text in UTF-8.
 
-    The text is written beside it first, so that a program that ends meanwhile leaves the old file.
+    A program that ends meanwhile leaves the old file.
+    """
+    replace_binary_file(path, text.encode('utf-8'))
+
+
+def replace_binary_file(path: Path, content: bytes) -> None:
+    """
+    Replace a file by bytes.
+
+    They are written beside it first, so that a program that ends meanwhile leaves the old file.
     """
     partial = path.with_suffix('.partial')
-    partial.write_text(text, encoding='utf-8')
+    partial.write_bytes(content)
     partial.replace(path)
 
 

@@ -40,11 +40,13 @@ class ActiveObserver:
         self.x_est = self.records['x_est'][0, :n]
         self.P = self.records['P'][0, :n, :n]
 
-    def update(self, force, noise_variance, measured=True):
+    def update(self, force, noise_variance, measured=True, disturbance=0.0):
         contact = self.contact[0]
         contact['alpha_meas'] = force
         contact['noise_variance'] = noise_variance
-        aob.observe_force(self.records[0], contact, measured, 0.0, self.space[0])
+        aob.observe_force(
+            self.records[0], contact, measured, 0.0, disturbance, self.space[0]
+        )
 
     def command(self, force_des):
         return aob.command_acceleration(self.records[0], force_des)

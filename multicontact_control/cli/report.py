@@ -27,8 +27,8 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            help='Folder for report.html and the figures; the first run, or beside the first '
-            'recording, if not given.'
+            help='Folder for report.html, the figures and the passes of a path; the first run, or '
+            'beside the first recording, if not given.'
         ),
     ] = None,
     controller: options.ControllerFiles = None,
@@ -39,7 +39,8 @@ def report(
 
     A run of the scenario `paper` is judged by the claims of the paper, too; page and terminal have
     their table. Of a recording without ground truth the measured forces are shown, and the run is
-    not judged. Names and rate are those of the messages, or of --controller.
+    not judged. Names and rate are those of the messages, or of --controller. Of a run along a path
+    there are a table of its passes and a map of the force, too.
     """
     from multicontact_control.judging.claims import judge_claims_of_run
     from multicontact_control.judging.display import print_claims

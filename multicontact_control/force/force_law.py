@@ -343,13 +343,13 @@ def add_extra_acceleration(
 
 @compiled
 def step_linear_law(
-    law: Linear, contact: Contact, speed: float, x_next: Vector
+    law: Linear, contact: Contact, speed: float, disturbance: float, x_next: Vector
 ) -> float:
     """
     Take one sample into a linear law, a record of `LINEAR`; return u [m/s^2].
 
-    A law that has not run starts from the measured force. A force that was not measured in this
-    sample is the one before.
+    A law that has not run starts from the measured force and the disturbance of the motion. A
+    force that was not measured in this sample is the one before.
 
     Parameters
     ----------
@@ -357,6 +357,8 @@ def step_linear_law(
         Record of `LINEAR`, changed, and of `CONTACT`, whose `answer.alpha_est` is set.
     speed
         Speed of the contact point INTO the surface [m/s].
+    disturbance
+        What disturbed the motion INTO the surface [m/s^2].
     x_next
         Overwritten, at least n elements.
 
@@ -367,6 +369,7 @@ def step_linear_law(
     if not law.running:
         for i in range(n):
             x[i] = design.start_force[i] * contact.alpha_meas
+            x[i] += design.start_disturbance[i] * disturbance
         law.extra = 0.0
         law.running = True
     for i in range(n):
@@ -422,6 +425,12 @@ def choose_fed_force(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
 
 @compiled
+def disturbance_along_normal(contact: Contact, control: Control) -> float:
+    """Return what disturbs the motion of a contact point INTO its surface [m/s^2]."""
+    return dot(contact.N, control.motion_observer.disturbance)
+
+
+@compiled
 def limit_approach_speed(
     contact: Contact,
     law: ForceLaw,
@@ -432,23 +441,25 @@ def limit_approach_speed(
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
-    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is
-    kept at or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows while
-    the tip is slower than it may be although it is pushed, and is forgotten. The force law is told
-    what acts. `speed` is that of the contact point INTO the surface [m/s].
+    The tip accelerates by a = u + p - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space,
+    with the disturbance p of the motion. It is kept at or below G (v_max - v) + b, where b is what
+    a surface turns out to bear: it grows while the tip is slower than it may be although it is
+    pushed, and is forgotten. The force law is told what acts. `speed` is that of the contact point
+    INTO the surface [m/s].
     """
     period = control.law.period
     damping = control.law.K_2 * speed
     fed = contact.answer.alpha_fed_forward * contact.mobility
+    pushed = fed + disturbance_along_normal(contact, control)
     slower = contact.speed_bound - speed
     rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
     largest = rate * slower + contact.borne_acceleration
-    if u - damping + fed <= largest:
+    if u - damping + pushed <= largest:
         contact.borne_acceleration *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
     growth = BOUND_SHARE * rate * rate * slower * period
     contact.borne_acceleration = max(contact.borne_acceleration + growth, 0.0)
-    bounded = largest + damping - fed
+    bounded = largest + damping - pushed
     law.observer.command += bounded - u
     law.linear.extra += bounded - u
     return bounded
@@ -465,7 +476,9 @@ def answer_contact_forces(
     """
     Let the force law of every active contact answer its sample.
 
-    A contact that has just become active starts from its measured force.
+    A contact that has just become active starts from its measured force, and from what disturbed
+    the motion along its normal: where drives push the arm off the surface by more than the law
+    presses with, it would lose the contact before it has found that out.
 
     Parameters
     ----------
@@ -503,13 +516,25 @@ def answer_contact_forces(
             answer.alpha_fed_forward = 0.0
             inputs[i] = 0.0
             continue
+        disturbance = disturbance_along_normal(contact, control)
         if law.is_linear:
-            inputs[i] = step_linear_law(law.linear, contact, speed, space.x_next)
+            inputs[i] = step_linear_law(
+                law.linear, contact, speed, disturbance, space.x_next
+            )
             answer.alpha_rate_est = law.stiffness.k * speed
         elif law.stiffness.config.adaptive:
-            inputs[i] = answer_adaptively(law, contact, control, speed, space)
+            inputs[i] = answer_adaptively(
+                law, contact, control, speed, disturbance, space
+            )
         else:
-            observe_force(law.observer, contact, control.measured, 0.0, space.observer)
+            observe_force(
+                law.observer,
+                contact,
+                control.measured,
+                0.0,
+                disturbance,
+                space.observer,
+            )
             inputs[i] = command_acceleration(law.observer, answer.alpha_des)
         answer.alpha_fed_forward = choose_fed_force(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
@@ -520,20 +545,28 @@ def answer_contact_forces(
 
 @compiled
 def answer_adaptively(
-    law: ForceLaw, contact: Contact, control: Control, speed: float, space: ForceSpace
+    law: ForceLaw,
+    contact: Contact,
+    control: Control,
+    speed: float,
+    disturbance: float,
+    space: ForceSpace,
 ) -> float:
     """
     Take one sample into an observer whose model follows the surface; return u [m/s^2].
 
     It predicts with the open loop, under the input that was asked for, since its feedback changes
     with the model. It follows the desired force no faster than the contact point may move into
-    the surface. `speed` is that of the contact point INTO the surface [m/s].
+    the surface. `speed` and `disturbance` are those of the contact point INTO the surface [m/s,
+    m/s^2].
     """
     stiffness = law.stiffness
     observer = law.observer
     begins = not observer.running
     rate = stiffness.k * speed
-    observe_force(observer, contact, control.measured, rate, space.observer)
+    observe_force(
+        observer, contact, control.measured, rate, disturbance, space.observer
+    )
     if begins:
         stiffness.alpha_ref = contact.alpha_meas
         if stiffness.config.share == 0.0:

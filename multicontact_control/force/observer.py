@@ -338,14 +338,16 @@ def observe_force(
     contact: Contact,
     measured: bool,
     rate: float,
+    disturbance: float,
     space: ObserverSpace,
 ) -> None:
     """
     Take the measured force of an active contact into its observer.
 
-    An observer that has not run starts from that force, and from a rate x_2 that is as uncertain
-    as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf). `space`
-    is a record of `OBSERVER_SPACE`.
+    An observer that has not run starts from that force, from a rate x_2 that is as uncertain as it
+    is large [N/s], and from the disturbance p that the motion had along the normal [m/s^2].
+    Without a measurement of this sample it only predicts (R = inf). `space` is a record of
+    `OBSERVER_SPACE`.
     """
     n = observer.design.states
     tau = observer.design.damping_time
@@ -362,6 +364,8 @@ def observe_force(
         x_est[0] = contact.alpha_meas
         x_est[1] = rate
         P[1, 1] += rate * rate
+        for i in range(n - observer.design.order, n):
+            x_est[i] = disturbance
         observer.running = True
     else:
         predict_state(observer, space)

@@ -21,6 +21,7 @@ from multicontact_control.judging.panels import (
     Trace,
     WINDOW_COLOURS,
 )
+from multicontact_control.judging.path_maps import draw_maps
 from multicontact_control.judging.run_figures import (
     describe_figures,
     describe_force,
@@ -75,6 +76,8 @@ def draw_figures(
             _draw_panel(axes, panel, run.data.time, shaded)
         grid[-1, 0].set_xlabel('time [s]')
         paths += _save_sheet(sheet, folder / figure.file, dpi=130)
+    for file, sheet in draw_maps(run, title):
+        paths += _save_sheet(sheet, folder / file, dpi=130)
     return paths
 
 

@@ -18,6 +18,7 @@ from multicontact_control.judging.claims import judge_claims_of_run
 from multicontact_control.judging.display import print_summary, show_progress
 from multicontact_control.judging.figure_files import draw_figures
 from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.passes import write_passes
 from multicontact_control.judging.run_folders import (
     CONFIG_FOLDER,
     FIGURE_FOLDER,
@@ -293,10 +294,11 @@ def _collect_timing(
 def _leave_results(
     run: RunMetrics, folder: Path, summary: dict[str, Any]
 ) -> dict[str, Any]:
-    """Judge the claims, write figures and summary, show the table; return the summary."""
+    """Judge the claims, write figures, passes and summary, show the table; return the summary."""
     claims = judge_claims_of_run(run, summary)
     summary['claims'] = [claim._asdict() for claim in claims]
     draw_figures(run, summary, folder / FIGURE_FOLDER)
+    write_passes(run, folder)
     replace_json_file(folder / SUMMARY_FILE, replace_nonfinite_numbers(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

@@ -20,6 +20,8 @@ from multicontact_control.judging.display import (
 )
 from multicontact_control.judging.figure_files import draw_figures, draw_side_by_side
 from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.pass_table import render_passes
+from multicontact_control.judging.passes import write_passes
 from multicontact_control.judging.results import LoadedRun
 from multicontact_control.judging.run_figures import (
     describe_figures,
@@ -34,7 +36,10 @@ def write_report(
     runs: Sequence[LoadedRun], out: Path, *, claims: bool = False
 ) -> list[Path]:
     """
-    Write ``report.html`` and ``figures/`` of runs into a folder.
+    Write ``report.html``, ``figures/`` and the passes along paths of runs into a folder.
+
+    The files with the passes of a single run stand beside the page, those of several beside the
+    figures of each.
 
     Parameters
     ----------
@@ -48,7 +53,7 @@ def write_report(
     Returns
     -------
     list of Path
-        The files, the page first.
+        The page, and the figures behind it.
 
     Raises
     ------
@@ -75,12 +80,16 @@ def write_report(
         parts.append(page.render_image(paths[0], 'forces of the runs'))
     for number, run in enumerate(runs):
         folder = figures
+        table_folder = out
         if len(runs) > 1:
-            folder = figures / names[number]
+            folder = table_folder = figures / names[number]
             heading = f'{escape(names[number])}: {escape(describe_run(run.summary))}'
             parts.append(f'<h2>{heading}</h2>')
-        paths += draw_figures(metrics[number], run.summary, folder)
-        parts += _render_run(run, metrics[number], f'run{number}', claims=claims)
+        drawn = draw_figures(metrics[number], run.summary, folder)
+        passes = write_passes(metrics[number], table_folder)
+        path = render_passes(passes, drawn)
+        parts += _render_run(run, metrics[number], f'run{number}', path, claims=claims)
+        paths += drawn
     report = out / REPORT_FILE
     page.write_page(report, title, '\n'.join(parts))
     return [report, *paths]
@@ -95,9 +104,13 @@ def _name_runs(runs: Sequence[LoadedRun]) -> list[str]:
 
 
 def _render_run(
-    run: LoadedRun, metrics: RunMetrics, prefix: str, *, claims: bool
+    run: LoadedRun, metrics: RunMetrics, prefix: str, path: str, *, claims: bool
 ) -> list[str]:
-    """Return the parts of the page that are about one run; `prefix` is that of its figures."""
+    """
+    Return the parts of the page that are about one run.
+
+    `prefix` is that of its figures, `path` what is shown of its passes.
+    """
     setup = run.setup
     summary = run.summary
     description = ''
@@ -115,6 +128,7 @@ def _render_run(
     parts.append(_render_numbers(summary))
     parts.append(render_figures(metrics, prefix))
     parts.append(page.HELP)
+    parts.append(path)
     judged = judge_claims_of_run(metrics, summary, any_scenario=claims)
     if judged:
         table = page.render_claims({'measured': judged})

@@ -16,6 +16,8 @@ from multicontact_control.runs.recording import SERIES_FILE
 
 SUMMARY_FILE = 'summary.json'
 REPORT_FILE = 'report.html'
+PASSES_FILE = 'passes.csv'
+PASSES_TABLE = 'passes.parquet'
 CONFIG_FOLDER = 'config'
 BAG_FOLDER = 'bag'
 FIGURE_FOLDER = 'figures'
@@ -28,6 +30,8 @@ LEFT_BY_RUNS = {
     LOG_FOLDER,
     SUMMARY_FILE,
     REPORT_FILE,
+    PASSES_FILE,
+    PASSES_TABLE,
     SERIES_FILE,
 }
 RUNS_FOLDER = Path('runs')  # of the runs that are not told another place

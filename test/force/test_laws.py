@@ -86,7 +86,7 @@ def law_of(name, **force):
     return linear_law(design_law(name, config.force, make_loop_model(config, K)))
 
 
-def run_steps(law, inputs, extra):
+def run_steps(law, inputs, extra, disturbance=0.0):
     """Return what the compiled law answers to alpha, alpha_des and speed, shape (3,) each."""
     record = law.record()[0]
     contact = np.zeros(1, dtype=CONTACT)[0]
@@ -95,7 +95,7 @@ def run_steps(law, inputs, extra):
     for values, late in zip(inputs, extra):
         contact['alpha_meas'], answer['alpha_des'], speed = values
         record['extra'] = late
-        u = step_linear_law(record, contact, speed, np.empty(MAX_STATES))
+        u = step_linear_law(record, contact, speed, disturbance, np.empty(MAX_STATES))
         outputs.append([u, float(answer['alpha_est']), float(record['p_est'])])
     return np.array(outputs)
 
@@ -159,9 +159,14 @@ def one_contact(desired):
     return contacts, control
 
 
-def hold(laws, ticks, state=None):
-    """Let the laws of one contact hold 10 N on a delayed plant that 0.5 m/s^2 disturb."""
+def hold(laws, ticks, state=None, known=0.0):
+    """
+    Let the laws of one contact hold 10 N on a delayed plant that 0.5 m/s^2 disturb.
+
+    Of these so much is `known` from the motion before the touch.
+    """
     contacts, control = one_contact(10.0)
+    control['motion_observer']['disturbance'][0, 2] = known
     plant = make_delayed_plant(K, 100.0, DELAY, H)
     x = state
     if x is None:
@@ -217,6 +222,15 @@ def test_law_that_takes_over_knows_force_and_disturbance(before, after):
     if after in ('pi', 'dob'):
         forces, _ = hold(laws_of(after), 500, state=x)
         assert np.abs(forces - held[-1]).max() > 0.5
+
+
+@pytest.mark.parametrize('name', INTEGRATING)
+def test_law_starts_from_what_disturbed_the_motion(name):
+    forces, _ = hold(laws_of(name), 500, known=0.5)
+    surprised, _ = hold(laws_of(name), 500)
+    error = np.abs(forces - 10.0).max()
+    assert error < 0.4
+    assert error < 0.5 * np.abs(surprised - 10.0).max()
 
 
 def estimate_disturbance(name, aware):
