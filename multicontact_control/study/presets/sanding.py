@@ -158,7 +158,7 @@ class SandingStudy(Study):
                 axes.grid(alpha=0.3, which='both')
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(
-            handles, labels, loc='outside lower center', ncols=3, frameon=False
+            handles, labels, loc='outside lower center', ncols=2, frameon=False
         )
         return figure
 
