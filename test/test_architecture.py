@@ -68,11 +68,11 @@ BUDGETS = {
     'judging': 27_400,
     'commissioning': 6_900,
     'faults': 12_200,
-    'study': 17_300,
+    'study': 20_200,
     'view': 20_580,
     'cli': 7_100,
     'sim_bridge': 30_400,
-    'test': 177_000,
+    'test': 180_000,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
