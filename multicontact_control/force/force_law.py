@@ -425,18 +425,13 @@ def choose_fed_force(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
 
 @compiled
-def disturbance_along_normal(contact: Contact, control: Control) -> float:
-    """Return what disturbs the motion of a contact point INTO its surface [m/s^2]."""
-    return dot(contact.N, control.motion_observer.disturbance)
-
-
-@compiled
 def limit_approach_speed(
     contact: Contact,
     law: ForceLaw,
     control: Control,
     u: float,
     speed: float,
+    disturbance: float,
 ) -> float:
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
@@ -444,13 +439,13 @@ def limit_approach_speed(
     The tip accelerates by a = u + p - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space,
     with the disturbance p of the motion. It is kept at or below G (v_max - v) + b, where b is what
     a surface turns out to bear: it grows while the tip is slower than it may be although it is
-    pushed, and is forgotten. The force law is told what acts. `speed` is that of the contact point
-    INTO the surface [m/s].
+    pushed, and is forgotten. The force law is told what acts. `speed` and `disturbance` are those
+    of the contact point INTO the surface [m/s, m/s^2].
     """
     period = control.law.period
     damping = control.law.K_2 * speed
     fed = contact.answer.alpha_fed_forward * contact.mobility
-    pushed = fed + disturbance_along_normal(contact, control)
+    pushed = fed + disturbance
     slower = contact.speed_bound - speed
     rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
     largest = rate * slower + contact.borne_acceleration
@@ -516,7 +511,7 @@ def answer_contact_forces(
             answer.alpha_fed_forward = 0.0
             inputs[i] = 0.0
             continue
-        disturbance = disturbance_along_normal(contact, control)
+        disturbance = dot(contact.N, control.motion_observer.disturbance)
         if law.is_linear:
             inputs[i] = step_linear_law(
                 law.linear, contact, speed, disturbance, space.x_next
@@ -538,7 +533,9 @@ def answer_contact_forces(
             inputs[i] = command_acceleration(law.observer, answer.alpha_des)
         answer.alpha_fed_forward = choose_fed_force(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
-            inputs[i] = limit_approach_speed(contact, law, control, inputs[i], speed)
+            inputs[i] = limit_approach_speed(
+                contact, law, control, inputs[i], speed, disturbance
+            )
         else:
             contact.borne_acceleration = 0.0
 

@@ -133,7 +133,7 @@ def test_integral_of_the_torque_loop_takes_the_static_error_off():
 
 
 def test_torque_loop_steps_at_its_rate_by_its_formula(rng):
-    """u = wanted - 0.7 e - 0.01 sum(e) - 1e-5 de/dt every second substep, held in between."""
+    """The motor has wanted - 0.7 e - 0.01 sum(e) - 1e-5 de/dt from every second substep on."""
     errors = make_errors(**WITHOUT_FRICTION, torque_loop=True)
     scale = errors.actuators['scale']
     commands = rng.uniform(-20.0, 20.0, (200, 6))
