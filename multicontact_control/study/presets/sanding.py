@@ -82,8 +82,8 @@ class SandingStudy(Study):
         """
         Return for each part, with and without torque loop, how many runs hold and the errors.
 
-        Errors are means over the seeds, at the worst tilt, and of the worst run. Beside published
-        results the sentence says how many times smaller they are than the best of these.
+        Errors are means over the seeds, at the worst tilt, and of the worst run. Where there are
+        published force errors, the sentence says how many times as large the best of them is.
         """
         sentences = []
         for (part, loop), runs in results.frame.groupby(['part', LOOP], sort=False):
