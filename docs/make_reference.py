@@ -19,6 +19,7 @@ from types import NoneType, UnionType
 import typing
 from typing import Any, Literal, NamedTuple, Union
 
+from multicontact_control.choices import NameIn
 from multicontact_control.cli.application import app, FOLDERS
 from multicontact_control.cli.options import describe_files
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
@@ -174,7 +175,8 @@ def list_groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
         elif origin is tuple and _is_config(arguments[0]):
             inner.append((arguments[0], f'{name}.N.'))
         else:
-            entries.append(Entry(name, _name_type(kind), field, _list_choices(kind)))
+            choices = [*_list_names(field), *_list_choices(kind)]
+            entries.append(Entry(name, _name_type(kind), field, choices))
     heading = prefix.rstrip('.')
     for kind, _ in list_kinds(model):
         heading = f'{heading} ({kind})'
@@ -195,6 +197,13 @@ def _name_type(kind: Any) -> str:
         size = '' if arguments[-1] is Ellipsis else len(arguments)
         return f'{_name_type(_bare_type(arguments[0]))}[{size}]'
     return TYPES[kind]
+
+
+def _list_names(field: FieldInfo) -> Iterator[str]:
+    """Yield the names of the registry that a text is one of."""
+    for mark in field.metadata:
+        if isinstance(mark, NameIn):
+            yield from mark.names
 
 
 def _list_choices(kind: Any) -> list[str]:

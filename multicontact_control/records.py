@@ -459,6 +459,12 @@ class ContactConfig(Record, Protocol):
     turn_limit: float
 
     smallest_cosine: float  # of the angle between it and the one configured
+
+    # Axis of the tool that turns towards the estimated normal, in the operational frame, and by
+    # how much at most [rad].
+    tool_axis: Annotated[Vector, 3]
+    tool_turn_limit: float
+
     surface_speed: float  # of the surface along its normal [m/s]
     surface_gain: float  # share of the way that its estimate goes per period
     surface_speed_limit: float  # bound of that, 0 where it is not estimated [m/s]

@@ -1,10 +1,23 @@
 """
 Force laws and noise estimators by name, each with the place of what implements it.
 
-A new one is a file and one line here. The configuration, the command line and the studies take
-the names from here, in this order, without importing what they stand for: the configuration lies
-below the force laws, and the command line prints its help before numpy is loaded.
+A new one of the package is a file and one line here. One of another package is an entry point of
+that package, in the group `multicontact_control.force_laws` or
+`multicontact_control.noise_estimators`; every process knows it. One of a program of one file is
+registered by that program, and known in its process. The configuration, the command line and the
+studies take the names from here, in this order, without importing what they stand for: the
+configuration lies below the force laws, and the command line prints its help before numpy is
+loaded.
 """
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+import logging
+from pkgutil import resolve_name
+from typing import Any
+
+from multicontact_control.errors import ConfigError
 
 # The place is a module and an object in it, as `pkgutil.resolve_name` reads it.
 FORCE_LAWS = {
@@ -25,3 +38,74 @@ NOISE_ESTIMATORS = {
     'sage_husa': 'multicontact_control.force.noise.sage_husa:SageHusa',
     'variational_bayes': 'multicontact_control.force.noise.variational_bayes:VariationalBayes',
 }
+
+
+def register_force_law(name: str, place: str) -> None:
+    """
+    Let a force law of your own be known by a name, in this process.
+
+    Parameters
+    ----------
+    name
+        What `force.law` chooses it by.
+    place
+        Module and object of its `LawDesign`, e.g. ``my_laws:LAW``; ``__main__:LAW`` in a program
+        that is run. It is imported when the law is first needed.
+
+    Raises
+    ------
+    ConfigError
+        If the name stands for another place.
+
+    """
+    _register(FORCE_LAWS, f'force law {name}', name, place)
+
+
+def register_noise_estimator(name: str, place: str) -> None:
+    """
+    Let a noise estimator of your own be known by a name, in this process.
+
+    As `register_force_law`, with a subclass of `NoiseEstimator` for `noise_estimator.estimator`.
+    """
+    _register(NOISE_ESTIMATORS, f'noise estimator {name}', name, place)
+
+
+def _register(registry: dict[str, str], title: str, name: str, place: str) -> None:
+    taken = registry.setdefault(name, place)
+    if taken != place:
+        raise ConfigError(
+            title, 'a name that is not taken', f'{place} beside {taken}, which has it'
+        )
+
+
+def import_registered(title: str, place: str) -> Any:
+    """
+    Return the object at a place; ConfigError, with what it is for, if it cannot be imported.
+
+    An error of any kind in a module of another package is one line here; its cause is kept.
+    """
+    try:
+        return resolve_name(place)
+    except Exception as error:
+        raise ConfigError(
+            title,
+            'a module and an object that can be imported',
+            f'{place}: {type(error).__name__}: {error}',
+        ) from error
+
+
+def _register_installed() -> None:
+    """Register what installed packages bring, by name; what cannot be is logged and left out."""
+    for kind, register in (
+        ('force_laws', register_force_law),
+        ('noise_estimators', register_noise_estimator),
+    ):
+        installed = entry_points(group=f'multicontact_control.{kind}')
+        for entry in sorted(installed, key=lambda each: (each.name, each.value)):
+            try:
+                register(entry.name, entry.value)
+            except ConfigError as error:
+                logging.getLogger(__name__).warning('%s; it is left out', error)
+
+
+_register_installed()

@@ -5,6 +5,7 @@ import signal
 
 from browser import chromium  # noqa: F401 - a fixture
 from hypothesis import settings
+from multicontact_control.registry import FORCE_LAWS, NOISE_ESTIMATORS
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
@@ -63,6 +64,16 @@ def pytest_xdist_make_scheduler(config, log):
     scheduler = LoadScopeScheduling(config, log)
     scheduler._split_scope = group
     return scheduler
+
+
+@pytest.fixture(name='registries')
+def fixture_registries():
+    """Let a test register what it wants: later tests know nothing of it."""
+    before = [(registry, {**registry}) for registry in (FORCE_LAWS, NOISE_ESTIMATORS)]
+    yield
+    for registry, names in before:
+        registry.clear()
+        registry.update(names)
 
 
 @pytest.fixture(name='domain_id')

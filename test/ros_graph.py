@@ -89,8 +89,8 @@ def keep_waiting(what: str) -> None:
 
 
 @contextmanager
-def obedient_graph(folder: Path) -> Iterator[int]:
-    """Run the rigid plant's graph in `arm`, as fast as it goes; yield its domain."""
+def obedient_graph(folder: Path, namespace: str = 'arm') -> Iterator[int]:
+    """Run the rigid plant's graph, as fast as it goes; yield its domain."""
     setup = resolve('quick', plant='rigid')
     with reserve_domain() as domain_id:
         spec = GraphSpec(
@@ -99,7 +99,7 @@ def obedient_graph(folder: Path) -> Iterator[int]:
             rate=500.0,
             speed=0.0,
             domain_id=domain_id,
-            namespace='arm',
+            namespace=namespace,
             parameter_files=setup.write(folder / 'config'),
         )
         with running_graph(spec, keep_waiting) as graph:

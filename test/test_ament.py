@@ -14,6 +14,7 @@ SOURCES = (
     'test',
     'benchmarks',
     'docs',
+    'examples',
     'setup.py',
 )
 

@@ -53,7 +53,7 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 8_900,
+    TOP: 9_600,
     'dynamics': 7_750,
     'contact': 4_600,
     'force': 16_000,
@@ -62,7 +62,7 @@ BUDGETS = {
     'supervision': 28_600,
     'diagnosis': 3_400,
     'sensor': 3_300,
-    'config': 6_400,
+    'config': 6_800,
     'nodes': 28_700,
     'runs': 17_500,
     'judging': 27_400,
@@ -72,11 +72,11 @@ BUDGETS = {
     'view': 20_580,
     'cli': 7_100,
     'sim_bridge': 30_400,
-    'test': 180_000,
+    'test': 183_000,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
-MOST_COMPILED = 155  # functions
+MOST_COMPILED = 156  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 11.6, 27

@@ -12,6 +12,8 @@ from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.parameter_file import write_parameters
 import pytest
 
+TURNING = {'friction_std': 1.0, 'normal_turn_rate': 1.0, 'tool_turn_limit': 0.2}
+
 
 @pytest.mark.parametrize(
     ('changes', 'message'),
@@ -75,6 +77,20 @@ import pytest
                 'contacts': {'table': {'surface_speed_limit': 0.05}},
             },
             'contacts.table.surface_speed_limit: expected 0 m/s unless force.law is aob',
+        ),
+        (
+            {'contacts': {'table': {'tool_turn_limit': 0.2}}},
+            'contacts.table.normal_turn_rate: expected above 0 rad/s with tool_turn_limit, '
+            'got 0',
+        ),
+        (
+            {'contacts': {'table': {**TURNING, 'type': 'edge'}}},
+            'contacts.table.tool_turn_limit: expected 0 rad at a contact of type edge, got 0.2',
+        ),
+        (
+            {'contacts': {'table': TURNING, 'board': TURNING}},
+            'contacts: expected tool_turn_limit above 0 rad at one contact at most, got '
+            'table, board',
         ),
         (
             {'force': {'active_state_order': 0, 'stiffness': 'adaptive'}},

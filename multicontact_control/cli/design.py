@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.choices import LawName
+from multicontact_control.choices import LawChoice
 from multicontact_control.cli.options import flatten_options
 import typer
 
@@ -35,7 +35,7 @@ class ModelOptions:
 
 @flatten_options
 def design(
-    law: Annotated[LawName, typer.Argument(metavar='LAW', help='Force law.')],
+    law: Annotated[LawChoice, typer.Argument(metavar='LAW', help='Force law.')],
     model: ModelOptions,
     out: Annotated[
         Path | None, typer.Option(help='Parameter file to write, for --preset.')

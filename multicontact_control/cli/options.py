@@ -10,7 +10,7 @@ from pathlib import Path
 import signal
 from typing import Annotated, Any, Literal, TYPE_CHECKING
 
-from multicontact_control.choices import EstimatorName, LawName
+from multicontact_control.choices import EstimatorChoice, LawChoice
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import find_config_folder
 import typer
@@ -146,14 +146,14 @@ class RunOptions(SetupOptions):
         typer.Option(help="Length of the run [s]; the scenario's own if not given."),
     ] = None
     noise_estimator: Annotated[
-        EstimatorName | None,
+        EstimatorChoice | None,
         typer.Option(
             help='How R, the variance of the force noise, is estimated, in the paper by '
             'lead_window; that of the preset if not given.'
         ),
     ] = None
     law: Annotated[
-        LawName | None,
+        LawChoice | None,
         typer.Option(
             help='Force law of all contacts, aob in the paper; that of the preset if not '
             'given.'

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from multicontact_control.choices import LawName
+from multicontact_control.choices import LawChoice
 from multicontact_control.cli import options
 from multicontact_control.errors import ConfigError, run_all_checks
 import typer
@@ -44,7 +44,7 @@ class ChoiceOptions:
         ),
     ] = None
     law: Annotated[
-        LawName | None,
+        LawChoice | None,
         typer.Option(help='Force law whose gains the study `tune` tries.'),
     ] = None
     quick: Annotated[

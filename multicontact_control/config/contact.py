@@ -93,6 +93,20 @@ class ContactConfig(Config):
         gt=0.0,
         le=1.5,
     )
+    tool_turn_limit: float = parameter(
+        0.0,
+        'Largest angle by which the tool turns out of its task, about a point contact that is '
+        'pressed, until tool_axis_operational is along the estimated normal; 0 for none. Needs '
+        'normal_turn_rate, at one contact at most.',
+        unit='rad',
+        live=True,
+        ge=0.0,
+        le=1.0,
+    )
+    tool_axis_operational: UnitVector3 = parameter(
+        (0.0, 0.0, 1.0),
+        'Axis of the tool that goes along the normal there, in the operational frame.',
+    )
     surface_speed: float = parameter(
         0.0,
         'Speed of the surface along its normal, away from the robot if positive.',

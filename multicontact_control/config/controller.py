@@ -232,6 +232,7 @@ class ControllerConfig(Config):
             )
         else:
             yield from self._force_law_errors()
+            yield from self._tool_turn_errors()
         without_sensor = self.wrench_input == 'momentum'
         if without_sensor == bool(self.robot.sensor_frame):
             yield ConfigError(
@@ -291,6 +292,33 @@ class ControllerConfig(Config):
         if adaptive and not force.damping_rate:
             yield ConfigError(
                 'force.damping_rate', 'above 0 with adaptive stiffness', 0.0
+            )
+
+    def _tool_turn_errors(self) -> Iterator[ConfigError]:
+        """Yield an error for each contact that cannot turn the tool."""
+        turning = []
+        for name in self.contact_names:
+            contact = self.contacts[name]
+            if not contact.tool_turn_limit:
+                continue
+            turning.append(name)
+            if not contact.normal_turn_rate:
+                yield ConfigError(
+                    f'contacts.{name}.normal_turn_rate',
+                    'above 0 rad/s with tool_turn_limit',
+                    0.0,
+                )
+            if contact.type != 'point':  # its couples turn the tool
+                yield ConfigError(
+                    f'contacts.{name}.tool_turn_limit',
+                    f'0 rad at a contact of type {contact.type}',
+                    contact.tool_turn_limit,
+                )
+        if len(turning) > 1:
+            yield ConfigError(
+                'contacts',
+                'tool_turn_limit above 0 rad at one contact at most',
+                ', '.join(turning),
             )
 
     def _needs_of_decoupling(self, other_laws: list[LawName]) -> Iterator[str]:

@@ -151,6 +151,8 @@ def configure_contacts(config: ControllerConfig, columns: Records[Contact]) -> N
         known['turn_limit'] = contact.normal_turn_rate * config.period
         known['smallest_cosine'] = math.cos(contact.normal_range)
         known['point'] = contact.point_operational
+        known['tool_axis'] = contact.tool_axis_operational
+        known['tool_turn_limit'] = contact.tool_turn_limit
         known['direction'] = contact.direction_operational
         known['half_length'] = column.half_length
         record['stiffness'] = column.stiffness

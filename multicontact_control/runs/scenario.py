@@ -25,6 +25,8 @@ from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, run_all_checks
 from multicontact_control.files import replace_text_file
+from multicontact_control.force.laws.design import find_law
+from multicontact_control.force.noise import find_noise_estimator
 from multicontact_control.paths import find_config_folder, find_named_file
 from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
@@ -391,9 +393,13 @@ def check_together(setup: Setup, path: Path) -> None:
     """
     Check that estimator, plant and scenario fit the controller; ConfigError.
 
-    Names of contacts, rate and bounds of R are to be the same, and the forces of the scenario, of
-    the file at `path`, are to be those that its contacts can hold.
+    Force laws and estimator are to be there; names of contacts, rate and bounds of R are to be the
+    same, and the forces of the scenario, of the file at `path`, are to be those that its contacts
+    can hold.
     """
+    find_noise_estimator(setup.noise_estimator.estimator)
+    for name in setup.controller.contact_names:
+        find_law(setup.controller.force_law_of(name))
     names = setup.controller.column_names
     contacts = [('noise_estimator.contact_names', setup.noise_estimator.contact_names)]
     if setup.simulated:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
+import inspect
 from itertools import starmap
 import json
 from multiprocessing import active_children
@@ -25,6 +26,8 @@ from multicontact_control.files import (
     replace_json_file,
     replace_nonfinite_numbers,
 )
+from multicontact_control.force.laws.design import find_law
+from multicontact_control.force.noise import find_noise_estimator
 from multicontact_control.judging.display import make_count_bar
 from multicontact_control.paths import PACKAGE_DIR
 from multicontact_control.runs.compilation import ensure_compiled
@@ -112,6 +115,23 @@ def hash_code() -> str:
     return digest.hexdigest()
 
 
+def hash_registered(setup: Setup) -> str:
+    """
+    Return a hash over the files of a setup's force laws and noise estimator.
+
+    Those of another package, or of the program, are not among the sources of `hash_code`.
+    """
+    controller = setup.controller
+    parts: list[Any] = [find_noise_estimator(setup.noise_estimator.estimator)]
+    for name in controller.contact_names:
+        parts.append(find_law(controller.force_law_of(name)).design)
+    digest = hashlib.sha256()
+    for part in parts:
+        with suppress(OSError, TypeError):  # of a session it has no file
+            digest.update(Path(inspect.getfile(part)).read_bytes())
+    return digest.hexdigest()
+
+
 def outcome_key(kind: str, setup: Setup, **content: Any) -> str:
     """
     Return the key of a job: a hash of all that decides its outcome, 24 hexadecimal digits.
@@ -133,6 +153,7 @@ def outcome_key(kind: str, setup: Setup, **content: Any) -> str:
         'seed': setup.seed,
         'urdf': hashlib.sha256(urdf).hexdigest(),
         'arm': repr(find_robot(setup.plant.robot).arm),
+        'registered': hash_registered(setup),
     }
     for name in ('scenario', 'controller', 'noise_estimator', 'plant'):
         whole[name] = getattr(setup, name).model_dump(mode='json')

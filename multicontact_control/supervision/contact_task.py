@@ -9,13 +9,16 @@ from multicontact_control.algebra import (
     add_scaled_vector,
     add_vector,
     component_across,
+    cross,
     divide_vector,
     dot,
     linear_combination,
+    rotate_vector,
     Triple,
     turn_rotation_by_vector,
     vector_between,
     vector_length,
+    velocity_at,
 )
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
@@ -42,6 +45,7 @@ from multicontact_control.supervision.contacts import (
     ContactState,
 )
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 # The measured force is fed forward below this share of the force held...
 GUARD_SHARE = 0.3
@@ -72,6 +76,9 @@ TASK_STEP_SHARE = 0.15
 WAITING_DISTANCE = 0.02
 WAITING_ANGLE = 0.1
 PARALLEL = 1e-6  # length that remains of a normal that the others span already
+# rad/s, of the critically damped system as which the tool turns with a normal: well below the 30
+# rad/s of the motion law that it leads, and three times as slow as the normal is estimated.
+TURNING_FREQUENCY = 6.0
 
 
 class TaskLimitsConfig(Record, Protocol):
@@ -104,6 +111,7 @@ class TaskLimits(Record, Protocol):
 
     config: TaskLimitsConfig
     locked: bool  # whether the arm is to stay where it is, without contact
+    held: bool  # whether it is, and to press as it does
     time: float  # of the task, since the start [s]
 
     # That time when stops, speeds or reach bounded the arm's motion last [s].
@@ -229,7 +237,7 @@ class ContactTask:
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
-        self.held = False
+        self._set_held(False)
         self._lost_time = 0.0
         self._time[0] = 0.0
         self.limits['has_free_readings'] = False
@@ -242,27 +250,40 @@ class ContactTask:
         forces = np.zeros(len(self.states))
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
-        position = self._frame['position'].copy()
-        rotation = self._frame['rotation'].copy()
-        normals = self._columns['normal'][pressed]
+        pose = self._take_turns_off(pressed & pressing)
+        position = pose.position_world
+        normals = self._columns['config']['normal'][pressed]
         for state, normal in zip(self.states[pressed], normals):
             position -= state['displacement'] * normal
-        pose = Pose(position, rotation)
         self._write_wanted(
             WantedTask(pose, ZERO_TWIST, ZERO_TWIST, pressed & pressing, forces)
         )
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = 0.0
         self._columns['speed_bound'][~pressed] = 0.0
-        self._restart_reference(position, catching_up=False)
+        self._restart_reference(pose, catching_up=False)
         # Contacts that are kept, from the end of a pause to the next tick.
         self._kept: Mask | None = None
 
-    def _restart_reference(self, position: Vector, *, catching_up: bool) -> None:
-        """Let the reference start at rest from a position [m], and turned as the arm is."""
+    def _take_turns_off(self, kept: Mask) -> Pose:
+        """Return the arm's pose without the turns of contacts that are kept; end the others."""
+        self.states['turn'][~kept] = 0.0
+        self.states['turn_rate'] = 0.0
+        position = self._frame['position'].copy()
+        rotation = self._frame['rotation'].copy()
+        points = self._columns['config']['point']
+        for turn, point in zip(self.states['turn'][::-1], points[::-1]):
+            if turn.any():
+                position += rotation @ point
+                rotation = Rotation.from_rotvec(-turn).as_matrix() @ rotation
+                position -= rotation @ point
+        return Pose(position, rotation)
+
+    def _restart_reference(self, pose: Pose, *, catching_up: bool) -> None:
+        """Let the reference start at rest from a pose."""
         limits = self.limits
-        limits['position'] = position
-        limits['rotation'] = self._frame['rotation']
+        limits['position'] = pose.position_world
+        limits['rotation'] = pose.rotation_world
         for part in (limits['linear'], limits['angular']):
             part['velocity'] = 0.0
             part['ahead'] = 0.0
@@ -357,7 +378,7 @@ class ContactTask:
 
     def set_hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
-        self.held = wanted
+        self._set_held(wanted)
         if wanted:
             self._stay_in_place(pressing=True)
         else:
@@ -370,6 +391,10 @@ class ContactTask:
             self._stay_in_place(pressing=False)
         elif not self.held:
             self.resume_task()
+
+    def _set_held(self, wanted: bool) -> None:
+        self.held = wanted
+        self.limits['held'] = wanted
 
     def _set_locked(self, wanted: bool) -> None:
         self.locked = wanted
@@ -386,8 +411,9 @@ class ContactTask:
 
     def _return_to_task(self, kept: Mask) -> None:
         """Let the reference go from where the arm is to the task; contacts go along normals."""
-        normals = self._columns['normal']
-        gap = self._frame['position'] - self._task.pose_des.position_world
+        normals = self._columns['config']['normal']
+        pose = self._take_turns_off(kept)
+        gap = pose.position_world - self._task.pose_des.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
         settings = self.limits['config']['contacts'][0]
         for state, column, place, is_kept in zip(
@@ -399,8 +425,8 @@ class ContactTask:
                 contacts.release_contact(state, place, 0.0)
                 contacts.restart_free_reading(state, settings, column['alpha_meas'])
                 subtract_free_reading(column, state)
-        position = self._frame['position'] - along @ normals
-        self._restart_reference(position, catching_up=True)
+        position = pose.position_world - along @ normals
+        self._restart_reference(Pose(position, pose.rotation_world), catching_up=True)
 
     def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -458,6 +484,10 @@ def limit_task(
         return False
     limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
     catching_up = _advance_reference(limit, frame, task)
+    for i in range(columns.shape[0]):
+        turn = states[i].turn
+        if columns[i].config.tool_turn_limit > 0.0 or dot(turn, turn) > 0.0:
+            _turn_tool(limit, columns[i], states[i], task)
     away = vector_between(task.position, frame.position)
     rate = vector_between(task.twist[:3], frame.twist[:3])
     shift = (0.0, 0.0, 0.0)
@@ -497,6 +527,46 @@ def limit_task(
         if columns[i].answer.active and columns[i].config.turn_limit > 0.0:
             _lead_along_surface(columns[i], frame, task)
     return _limit_reference(limit, frame, task, columns) or catching_up
+
+
+@compiled
+def _turn_tool(
+    limit: TaskLimits, column: Contact, state: ContactState, task: Task
+) -> None:
+    """
+    Turn a task about the contact point, so that the tool is square on the estimated normal.
+
+    The turn goes there as a critically damped system does, no farther than a declared angle, and
+    back where the contact is not pressed. During a hold it stays. The task's own angular speed is
+    not turned along: what that leaves out is the product of a small angle and a small speed.
+    """
+    config, turn, rate = column.config, state.turn, state.turn_rate
+    wanted = (0.0, 0.0, 0.0)
+    if column.answer.active:
+        axis = rotate_vector(task.rotation, config.tool_axis)
+        across = cross(axis, column.normal)
+        sine = vector_length(across)
+        angle = np.arctan2(sine, dot(axis, column.normal))
+        allowed = min(angle, config.tool_turn_limit)
+        wanted = linear_combination(allowed / max(sine, PARALLEL), across, 0.0, across)
+    if not limit.held:
+        h = limit.config.contacts.period
+        missing = vector_between(turn, wanted)
+        # Beyond that it would turn faster than a task is caught up with.
+        fastest = RETURN_SHARE * limit.angular.reach / limit.config.lead
+        farthest = 2.0 * fastest / TURNING_FREQUENCY
+        share = farthest / max(vector_length(missing), farthest)
+        add_scaled_vector(rate, share * h * TURNING_FREQUENCY**2, missing)
+        rate[:] = divide_vector(rate, 1.0 + 2.0 * h * TURNING_FREQUENCY)
+        add_scaled_vector(turn, h, rate)
+    lever = rotate_vector(task.rotation, config.point)
+    velocity = velocity_at(task.twist, lever)
+    turn_rotation_by_vector(turn, task.rotation)
+    turned = rotate_vector(task.rotation, config.point)
+    add_vector(task.position, vector_between(turned, lever))
+    add_vector(task.twist[3:], rate)
+    moved = velocity_at(task.twist, turned)
+    add_vector(task.twist[:3], vector_between(moved, velocity))
 
 
 @compiled

@@ -22,8 +22,9 @@ tip along the normal, relative to the task without displacement [m, m/s].
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config.supervision import ContactStateConfig, RELEASE_FORCE
 from multicontact_control.records import (
@@ -191,6 +192,11 @@ class ContactState(Record, Protocol):
 
     # Until it has more than the preload, of one that has answered late [s].
     preload_time: float
+
+    # By which it turns the tool out of the task about its point: a rotation vector in world axes
+    # [rad], and its rate [rad/s].
+    turn: Annotated[Vector, 3]
+    turn_rate: Annotated[Vector, 3]
 
 
 CONTACT_STATE = record_dtype(ContactState)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 from multicontact_control.config import ForceConfig
+from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws.linear import LinearLaw
 from multicontact_control.force.observer import ObserverDesign
 from multicontact_control.force.plant import DelayedPlant, make_delayed_plant
-from multicontact_control.registry import FORCE_LAWS
+from multicontact_control.registry import FORCE_LAWS, import_registered
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,22 @@ class LawDesign(NamedTuple):
 
 
 def find_law(name: str) -> LawDesign:
-    """Return a registered force law by name; its file is imported when it is first needed."""
-    law: LawDesign = resolve_name(FORCE_LAWS[name])
+    """
+    Return a registered force law by name; its file is imported when it is first needed.
+
+    Raises
+    ------
+    ConfigError
+        If a law of another package cannot be imported, is no `LawDesign`, or reads what is no
+        field of `ForceConfig`.
+
+    """
+    title = f'force law {name}'
+    law = import_registered(title, FORCE_LAWS[name])
+    if not isinstance(law, LawDesign):
+        raise ConfigError(title, f'a LawDesign at {FORCE_LAWS[name]}', repr(law))
+    unknown = set(law.reads) - ForceConfig.model_fields.keys()
+    if unknown:
+        fields = ', '.join(ForceConfig.model_fields)
+        raise ConfigError(f'{title}: reads', f'some of {fields}', min(unknown))
     return law
