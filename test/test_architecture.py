@@ -68,7 +68,7 @@ BUDGETS = {
     'judging': 27_400,
     'commissioning': 6_900,
     'faults': 12_200,
-    'study': 17_300,
+    'study': 20_200,
     'view': 20_580,
     'cli': 7_100,
     'sim_bridge': 30_400,

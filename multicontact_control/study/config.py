@@ -20,8 +20,8 @@ from pydantic import (
 )
 from sim_bridge.robots import find_robot
 
-Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults', 'situations']
-Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
+Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults', 'situations', 'sanding']
+Aggregate = Literal['median', 'mean', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
 REGISTRIES: Mapping[str, Mapping[str, str]] = {  # by parameter that chooses from one
     'controller.force.law': FORCE_LAWS,

@@ -145,8 +145,11 @@ def test_joint_led_to_its_stop_holds_there_and_the_force_stays(robot, joint, pre
     lower[joint] = home[joint] - 0.15
     upper[joint] = home[joint] + 0.15
     stops = {'joint_lower': lower.tolist(), 'joint_upper': upper.tolist()}
+    sideways = (1.0, 0.0, 0.0)
+    if robot == 'iiwa_sanding':  # which looks along x, the others along y
+        sideways = (0.0, -1.0, 0.0)
     if joint == 0:
-        course = Course((1.0, 0.0, 0.0), 0.25, 0.1)
+        course = Course(sideways, 0.25, 0.1)
     else:
         course = Course((0.0, 0.0, 1.0), 0.6, 0.4, turns=True)
     limits, seen = follow(course, pressing=pressing, robot=robot, stops=stops)

@@ -87,7 +87,7 @@ def test_ranges_are_even_and_levels_keep_their_labels(read, factor, settings):
             {'factors': {'a.b': {'start': 0, 'stop': 2, 'count': 3, 'spacing': 'log'}}},
             'factors.a.b',
         ),
-        ({'columns': [{'aggregate': 'mean', 'name': 'x'}]}, 'columns.0.aggregate'),
+        ({'columns': [{'aggregate': 'mode', 'name': 'x'}]}, 'columns.0.aggregate'),
         ({'scenario': 'papper'}, 'scenario'),
         ({'plants': ['x']}, 'plant'),
         ({'factors': {'controller.farce.x': [1]}}, 'factors.controller.farce.x'),

@@ -4,6 +4,7 @@ from multicontact_control.study.config import StudyConfig
 from multicontact_control.study.presets.compare import CompareStudy
 from multicontact_control.study.presets.faults import FaultsStudy
 from multicontact_control.study.presets.map import MapStudy
+from multicontact_control.study.presets.sanding import SandingStudy
 from multicontact_control.study.presets.situations import SituationsStudy
 from multicontact_control.study.presets.tune import TuneStudy
 from multicontact_control.study.study import Study
@@ -15,6 +16,7 @@ KINDS = {
     'tune': TuneStudy,
     'faults': FaultsStudy,
     'situations': SituationsStudy,
+    'sanding': SandingStudy,
 }
 
 
