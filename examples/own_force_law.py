@@ -44,9 +44,8 @@ def design_placed(model: LoopModel, force: ForceConfig) -> LinearLaw:
     law.C[U, integral] = 1.0
     law.D[U, [ALPHA_DES, ALPHA_MEAS, SPEED]] = b, -b, -c
     law.D[ALPHA_EST, ALPHA_MEAS] = 1.0
-    law.C[
-        P_EST, integral
-    ] = -1.0  # at rest the integral is what compensates a disturbance
+    # At rest the integral is what compensates a disturbance.
+    law.C[P_EST, integral] = -1.0
     law.start_disturbance[integral] = -1.0
     return discretise_law(law, model.period)
 

@@ -18,10 +18,8 @@ CONTACT = 'table'
 MEAN, AMPLITUDE = 10.0, 3.0  # N
 FREQUENCY = 0.5  # Hz
 PERIOD = 0.02  # s, between two commands
-SETTLED, END = (
-    8.0,
-    14.0,
-)  # s since the first sample; a whole number of periods between them
+# s since the first sample; a whole number of periods between them.
+SETTLED, END = 8.0, 14.0
 
 
 class SineOfForce(Node):

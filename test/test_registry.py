@@ -91,7 +91,7 @@ def installed(tmp_path_factory):
 
 
 @pytest.mark.ros
-@pytest.mark.nightly  # its nodes compile the kernels anew
+@pytest.mark.slow
 def test_law_and_estimator_of_an_installed_package_are_those_of_the_nodes(
     installed, tmp_path
 ):

@@ -132,8 +132,9 @@ class RunPasses:
         """
         Return the table of the passes: a row for each contact that presses on a pass.
 
-        Names of columns end with their units, shares are those of time; README says what they are.
-        Samples whose force is not known do not count; contact and pass have no row without any.
+        Names of columns end with their units, shares are those of time; docs/verdicts.md says what
+        they are. Samples whose force is not known do not count; contact and pass have no row
+        without any.
         """
         works = self._measure_works()
         rows = []
