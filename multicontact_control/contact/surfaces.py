@@ -57,14 +57,18 @@ def follow_normal(frame: Frame, contact: Contact) -> None:
     Turn a normal to where the contact force says that it is.
 
     Friction lies along the sliding velocity v, so that the rest of the force at the contact is
-    along the normal. The normal goes there as a low-pass does, no faster than a declared speed,
-    and stays within a declared angle. A velocity steeper than that angle, and than 34 degrees, is
-    that of a bounce.
+    along the normal. What goes into the surface, (d alpha / dt) / k, is no sliding: where drives
+    or tool give way before the tip slides, it would lead the normal, and by it the reference,
+    farther and farther into the surface. The normal goes there as a low-pass does, no faster than
+    a declared speed, and stays within a declared angle. A velocity steeper than that angle, and
+    than 34 degrees, is that of a bounce.
     """
     config, normal = contact.config, contact.normal
     if contact.alpha_meas < PRESSED:
         return
     velocity = velocity_at(frame.twist, rotate_vector(frame.rotation, config.point))
+    into_surface = contact.answer.alpha_rate_est / contact.stiffness
+    velocity = linear_combination(1.0, velocity, -into_surface, normal)
     squared_speed = dot(velocity, velocity)
     if squared_speed < SLIDING_SPEED * SLIDING_SPEED:
         return

@@ -162,15 +162,24 @@ DOWNHILL = np.array([np.cos(TILT), 0.0, np.sin(TILT)])
 CONFIGURED_NORMAL = np.array([0.0, 0.0, -1.0])
 
 
-def follow(velocity, ticks):
-    """Return the normal after samples of 10 N on a tilted surface that rubs with 1 N."""
+STIFFNESS = 10000.0  # N/m
+
+
+def follow(velocity, ticks, into_surface=0.0):
+    """
+    Return the normal after samples of 10 N on a tilted surface that rubs with 1 N.
+
+    The tip slides with `velocity`, and goes into the surface at `into_surface` (m/s).
+    """
     frame = np.zeros(1, dtype=FRAME)[0]
     contacts = np.zeros(1, dtype=CONTACT)
     frame['rotation'] = np.eye(3)
-    frame['twist'][:3] = velocity
+    frame['twist'][:3] = velocity + into_surface * TRUE_NORMAL
     config = contacts['config']
     contacts['normal'] = CONFIGURED_NORMAL
+    contacts['stiffness'] = STIFFNESS
     contacts['answer']['active'] = True
+    contacts['answer']['alpha_rate_est'] = STIFFNESS * into_surface
     config['normal'] = CONFIGURED_NORMAL
     config['normal_gain'] = 0.1
     config['turn_limit'] = 0.1
@@ -195,6 +204,12 @@ def follow(velocity, ticks):
 )
 def test_normal_follows_the_surface_that_is_slid_along(velocity):
     assert_allclose(follow(velocity, ticks=300), TRUE_NORMAL, atol=1e-9)
+
+
+@pytest.mark.parametrize('into_surface', [0.01, -0.01])
+def test_normal_is_not_led_by_what_goes_into_the_surface(into_surface):
+    normal = follow(0.05 * DOWNHILL, ticks=300, into_surface=into_surface)
+    assert_allclose(normal, TRUE_NORMAL, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -270,6 +270,21 @@ def test_figure_has_ours_and_the_published_in_every_panel(small):
         assert axes.get_yscale() == 'log'
 
 
+@pytest.mark.slow
+def test_slope_is_not_left_where_flexible_drives_give_way_before_the_tip_slides():
+    chosen = {
+        'part': ('flexible drives',),
+        'tilt': (-6,),
+        'plant.actuation.seed': (19,),
+        LOOP: (False,),
+        'scenario.duration': (4.5,),
+    }
+    (cell,) = study(**chosen).plan_cells()
+    metrics = cell.job.run()
+    assert metrics['holds']
+    assert metrics['force_n'] < 2.0
+
+
 @pytest.mark.nightly
 def test_published_grid_is_within_bounds(tmp_path):
     results = run_study(study(part=DRAWN_PARTS), tmp_path, Console(quiet=True))
