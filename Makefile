@@ -1,8 +1,8 @@
 # Sets up everything in .venv, then runs. Needs python3, its venv module and make.
 #
-# What pip installs is stamped by a hash of what describes it, so that a second start installs
+# What is installed is stamped by a hash of what describes it, so that a second start installs
 # nothing; so are the compiled kernels, by the sources they are made from. The package itself is
-# installed in editable mode: the sources of this folder run. What pip then leaves out, which is
+# installed in editable mode: the sources of this folder run. What that leaves out, which is
 # what `ros2 run` and the ament index need, setup.py's own install_data puts into .venv.
 
 SHELL := /bin/bash
@@ -40,24 +40,29 @@ ifeq ($(ROS),native)
   KEPT := 'numpy<2'
   RUN_PACKAGE := .
   VIEW_PACKAGE := .[view]
-  TEST_PACKAGE := .[robots,mujoco,dask,view,docs,test]
+  TEST_PACKAGE := .[pybullet,robots,mujoco,dask,view,docs,test]
   DOCS_PACKAGE := .[docs]
 else
-  # PyBullet has wheels up to Python 3.11: such a Python goes before a newer python3.
-  PYTHON ?= $(shell for python in python3 python3.11 python3.10; do \
-      $$python -c 'import ensurepip, sys; sys.exit(not (3, 10) <= sys.version_info < (3, 12))' \
-          2>/dev/null && echo $$python && exit; \
-    done; echo python3)
+  PYTHON ?= python3
   VENV_FLAGS :=
   KEPT :=
   RUN_PACKAGE := .[ros]
   VIEW_PACKAGE := .[ros,view]
-  TEST_PACKAGE := .[ros,rostest,robots,mujoco,dask,view,docs,test]
+  TEST_PACKAGE := .[ros,rostest,pybullet,robots,mujoco,dask,view,docs,test]
   DOCS_PACKAGE := .[ros,docs]
 endif
 
 BIN := $(VENV)/bin
-PIP := $(WITH_ROS) $(BIN)/python -m pip install -qq --disable-pip-version-check $(KEPT)
+comma := ,
+PIP := $(WITH_ROS) $(BIN)/python -m pip install -qq --disable-pip-version-check
+# By uv, in a quarter of the time; by pip where uv is missing, or the registry known to pip alone.
+# uv does not see the packages of a native ROS 2.
+UV := $(BIN)/uv pip install --quiet --python $(BIN)/python
+ifeq ($(ROS),native)
+  install = $(PIP) $(KEPT) $(1)
+else
+  install = { [ -x $(BIN)/uv ] && $(UV) $(1) 2>/dev/null; } || $(PIP) $(1)
+endif
 DESCRIPTION := setup.py setup.cfg pyproject.toml multicontact_control/__init__.py
 KEY := $(ROS)-$(shell (pwd; cat $(DESCRIPTION)) | sha256sum | cut -c1-12)
 VENV_STAMP := $(VENV)/.made-$(ROS)-$(shell pwd | sha256sum | cut -c1-12)
@@ -71,19 +76,15 @@ COMPILED_STAMP := $(VENV)/.compiled
 SOURCES := $(shell find multicontact_control sim_bridge -name '*.py')
 
 define CHECK_PYTHON
-import pathlib, shutil, sys, sysconfig
-found = f'error: {sys.executable} is Python {sys.version.split()[0]}'
+import sys
 if sys.version_info < (3, 10):
-    sys.exit(f'{found}; 3.10 or newer is needed (make PYTHON=...)')
-headers = pathlib.Path(sysconfig.get_path('include'), 'Python.h')
-if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++')):
-    sys.exit(f'{found}, for which PyBullet has no wheel. Install Python 3.11 with its venv '
-             'module (make finds it, or PYTHON=...), or g++ and python3-dev to compile PyBullet.')
+    sys.exit(f'error: {sys.executable} is Python {sys.version.split()[0]}; 3.10 or newer is '
+             'needed (make PYTHON=...)')
 endef
 export CHECK_PYTHON
 
 .PHONY: help setup demo run simulate lint check test nightly browser campaign velocities soak bench \
-    reference docs clean
+    reference docs dist clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -92,7 +93,7 @@ help:  ## Show this list
 setup: $(RUN_STAMP) $(DATA_STAMP) $(COMPILED_STAMP)  ## Set up .venv and compile the kernels
 
 demo: setup $(VIEW_STAMP)  ## See and steer the simulated arm in the browser
-	@$(WITH_ROS) exec $(BIN)/multicontact view --open $(RUN_ARGS)
+	@$(WITH_ROS) exec $(BIN)/multicontact demo $(RUN_ARGS)
 
 run: setup  ## Run the experiment over ROS 2: RUN_ARGS="--scenario quick --out DIR"
 	@$(WITH_ROS) exec $(BIN)/multicontact run --preset paper $(RUN_ARGS)
@@ -135,36 +136,44 @@ reference: $(RUN_STAMP)  ## Write docs/reference anew, from what the code declar
 docs: $(DOCS_STAMP)  ## Make HTML of the documents, in build/docs; a broken link is an error
 	@$(WITH_ROS) exec $(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs
 
+dist: $(TEST_STAMP)  ## Build wheel and sdist in dist/, check both, try the wheel in an empty venv
+	@rm -rf dist
+	$(BIN)/python -m build --quiet
+	$(BIN)/twine check --strict dist/*
+	@$(WITH_ROS) MULTICONTACT_WHEEL=$$(ls dist/*.whl) exec $(BIN)/python -m pytest -s \
+	    test/test_distribution.py $(TEST_ARGS)
+
 clean:  ## Remove .venv and everything built, but no runs
 	rm -rf $(VENV) build install log dist *.egg-info .hypothesis .mypy_cache .pytest_cache \
 	    .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV_STAMP):
-	@echo 'Setting up $(VENV) with $(PYTHON) and ROS 2 Jazzy ($(ROS)): once, a few minutes.'
+	@echo 'Setting up $(VENV) with $(PYTHON) and ROS 2 Jazzy ($(ROS)): once, two minutes.'
 	@$(PYTHON) -c "$$CHECK_PYTHON"
 	@$(PYTHON) -m venv --clear $(VENV_FLAGS) $(VENV)
+	@[ $(ROS) = native ] || $(PIP) uv 2>/dev/null || true
 	@touch $@
 
 $(RUN_STAMP): | $(VENV_STAMP)
-	@echo 'Installing the dependencies.'
-	@$(PIP) 'setuptools>=70.1,<80' --editable '$(RUN_PACKAGE)'
+	@echo 'Installing the dependencies: half a minute.'
+	@$(call install,'setuptools>=70.1$(comma)<80' --editable '$(RUN_PACKAGE)')
 	@rm -f $(VENV)/.run-* $(VENV)/.test-* $(VENV)/.view-* $(VENV)/.docs-* $(DATA_STAMP) $(COMPILED_STAMP)
 	@touch $@
 
 $(TEST_STAMP): $(RUN_STAMP)
 	@echo 'Installing what the tests need.'
-	@$(PIP) --editable '$(TEST_PACKAGE)'
+	@$(call install,--editable '$(TEST_PACKAGE)')
 	@touch $@
 
 $(VIEW_STAMP): $(RUN_STAMP)
 	@echo 'Installing what the page needs.'
-	@$(PIP) --editable '$(VIEW_PACKAGE)'
+	@$(call install,--editable '$(VIEW_PACKAGE)')
 	@touch $@
 
 $(DOCS_STAMP): $(RUN_STAMP)
 	@echo 'Installing what the documents need.'
-	@$(PIP) --editable '$(DOCS_PACKAGE)'
+	@$(call install,--editable '$(DOCS_PACKAGE)')
 	@touch $@
 
 $(COMPILED_STAMP): $(RUN_STAMP) $(SOURCES)

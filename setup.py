@@ -10,7 +10,8 @@ package_name = 'multicontact_control'
 share = f'share/{package_name}'
 here = Path(__file__).resolve().parent
 
-console_scripts = {
+# What `ros2 run multicontact_control` finds.
+executables = {
     'multicontact': 'multicontact_control.cli.application:main',
     'sim_node': 'sim_bridge.sim_node:main',
     'controller_node': 'multicontact_control.nodes.controller_node:main',
@@ -18,14 +19,23 @@ console_scripts = {
     'recorder_node': 'multicontact_control.nodes.recorder_node:main',
     'franka_bridge': 'multicontact_control.nodes.franka_bridge:main',
 }
+# What is found on PATH: each node also by a name that no other package has.
+console_scripts = {**executables}
+for name, target in executables.items():
+    if name != 'multicontact':
+        console_scripts[f'multicontact_{name}'] = target
 
+pybullet = 'pybullet>=3.2.7,<4'
+mujoco = 'mujoco>=3.2,<5'
 install_requires = [
     'numpy>=1.26,<3',
     'scipy>=1.11,<2',
     'control>=0.10,<0.11',
     'numba>=0.59,<1',
     'llvmlite>=0.42,<1',
-    'pybullet>=3.2.7,<4',
+    # An engine for the simulated plant: PyBullet has no wheels from Python 3.12 on.
+    f'{pybullet}; python_version < "3.12"',
+    f'{mujoco}; python_version >= "3.12"',
     'pydantic>=2.5,<3',
     'PyYAML>=6.0.1,<7',
     'typer>=0.19,<1',
@@ -57,13 +67,13 @@ extras_require = {
         'ros-jazzy-common-interfaces==5.3.6',
         *pinocchio,
     ],
+    # The other engine. pip compiles PyBullet from Python 3.12 on; it also brings the URDFs of the
+    # Panda and the iiwa.
+    'pybullet': [pybullet],
+    'mujoco': [mujoco],
     # URDFs of robots of config/robots that PyBullet does not bring.
     'robots': [
         'example-robot-data>=4.4,<7',
-    ],
-    # The second engine of the simulated plant.
-    'mujoco': [
-        'mujoco>=3.2,<5',
     ],
     # A Franka arm: its vendor's library, and a simulator that answers it.
     'franka': [
@@ -90,6 +100,8 @@ extras_require = {
     'test': [
         'pytest>=8,<10',
         'pytest-xdist>=3.6,<4',
+        'build>=1,<2',  # for `make dist`
+        'twine>=5,<8',
         'uv>=0.5,<1',  # what test_versions.py makes its environments by
         'hypothesis>=6.100,<7',
         # Where there is a Chromium for it to drive; the tests of the pages are skipped elsewhere.
@@ -158,7 +170,7 @@ def write_ros2_run_wrappers():
     folder = here / 'build' / 'ros2_run'
     folder.mkdir(parents=True, exist_ok=True)
     wrappers = []
-    for name in console_scripts:
+    for name in executables:
         path = folder / name
         path.write_text(
             f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n',
@@ -173,6 +185,8 @@ setup(
     name=package_name,
     version=read_version(),
     description='Multi-contact compliant motion control with active observers on ROS 2',
+    long_description=(here / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     author='multicontact_control maintainers',
     maintainer='multicontact_control maintainers',
     maintainer_email='maintainers@example.com',

@@ -7,6 +7,7 @@ from pathlib import Path
 import sys
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.registry import CONFIG_FOLDERS
 
 PACKAGE_DIR = Path(__file__).resolve().parent
 
@@ -37,6 +38,20 @@ def find_config_folder(package_dir: Path = PACKAGE_DIR) -> Path:
     )
 
 
+def list_named_files(folder: str) -> dict[str, Path]:
+    """
+    Return the YAML files in a folder of ``config/``, and in those of other packages, by name.
+
+    A name has the inner folder, as in laws/pi. Of two files with one name this package's is found.
+    """
+    files: dict[str, Path] = {}
+    for parent in (find_config_folder(), *map(Path, CONFIG_FOLDERS.values())):
+        there = parent / folder
+        for path in sorted(there.rglob('*.yaml')):
+            files.setdefault(path.relative_to(there).with_suffix('').as_posix(), path)
+    return files
+
+
 def find_named_file(kind: str, folder: str, name: str) -> Path:
     """
     Return a YAML file in a folder of ``config/`` by its name, or any file by its path.
@@ -44,12 +59,9 @@ def find_named_file(kind: str, folder: str, name: str) -> Path:
     ConfigError if there is none, with the names of all; `kind` is what such a file is, e.g.
     ``scenario``.
     """
-    parent = find_config_folder() / folder
-    for path in (parent / f'{name}.yaml', Path(name)):
-        if path.is_file():
-            return path
-    known = sorted(
-        file.relative_to(parent).with_suffix('').as_posix()
-        for file in parent.rglob('*.yaml')
-    )
-    raise ConfigError(kind, f'one of {", ".join(known)}, or a path', f"'{name}'")
+    named = list_named_files(folder)
+    if name in named:
+        return named[name]
+    if Path(name).is_file():
+        return Path(name)
+    raise ConfigError(kind, f'one of {", ".join(named)}, or a path', f"'{name}'")

@@ -8,12 +8,17 @@ registered by that program, and known in its process. The configuration, the com
 studies take the names from here, in this order, without importing what they stand for: the
 configuration lies below the force laws, and the command line prints its help before numpy is
 loaded.
+
+Robots, scenarios, presets and studies are files. Another package brings them in a folder like
+``config/``, by an entry point in the group `multicontact_control.config` that names the package.
 """
 
 from __future__ import annotations
 
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 import logging
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
@@ -38,6 +43,9 @@ NOISE_ESTIMATORS = {
     'sage_husa': 'multicontact_control.force.noise.sage_husa:SageHusa',
     'variational_bayes': 'multicontact_control.force.noise.variational_bayes:VariationalBayes',
 }
+
+# Folders like ``config/`` of other packages, by name.
+CONFIG_FOLDERS: dict[str, str] = {}
 
 
 def register_force_law(name: str, place: str) -> None:
@@ -70,6 +78,37 @@ def register_noise_estimator(name: str, place: str) -> None:
     _register(NOISE_ESTIMATORS, f'noise estimator {name}', name, place)
 
 
+def register_config_folder(name: str, folder: str) -> None:
+    """
+    Let the files of a folder be found by their names, in this process.
+
+    Parameters
+    ----------
+    name
+        Of the folder, by which it is registered once.
+    folder
+        Path of a folder with ``robots/``, ``scenarios/``, ``presets/`` or ``studies/``, as
+        ``config/`` has them. A file of this package goes before one of the same name.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such folder, or the name stands for another one.
+
+    """
+    title = f'configuration folder {name}'
+    if not Path(folder).is_dir():
+        raise ConfigError(title, 'a folder', folder)
+    _register(CONFIG_FOLDERS, title, name, folder)
+
+
+def _register_config_package(name: str, package: str) -> None:
+    """Register the folder ``config`` of a package; the package is not imported."""
+    spec = find_spec(package.partition('.')[0])
+    places = (spec and spec.submodule_search_locations) or ['']
+    register_config_folder(name, str(Path(places[0], 'config')))
+
+
 def _register(registry: dict[str, str], title: str, name: str, place: str) -> None:
     taken = registry.setdefault(name, place)
     if taken != place:
@@ -99,6 +138,7 @@ def _register_installed() -> None:
     for kind, register in (
         ('force_laws', register_force_law),
         ('noise_estimators', register_noise_estimator),
+        ('config', _register_config_package),
     ):
         installed = entry_points(group=f'multicontact_control.{kind}')
         for entry in sorted(installed, key=lambda each: (each.name, each.value)):

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal
+from importlib.util import find_spec
+from typing import Annotated, Any, Literal
 
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
 from multicontact_control.config.base import NonNegativeVector, PositiveVector
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError, format_count
+from pydantic import AfterValidator
 
 LARGEST_PUSH = 150.0  # N; ISO/TS 15066 lets an arm press a hand or a chest with 140 N
 PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
 MAX_ACTUATOR_DELAY = 5
 MAX_DELAY_SUBSTEPS = 20
+
+
+def choose_engine(name: str) -> str:
+    """Return an engine by its name: for auto PyBullet where it is installed, else MuJoCo."""
+    if name != 'auto':
+        return name
+    if find_spec('pybullet') is None:
+        return 'mujoco'
+    return 'pybullet'
 
 
 def _count_errors(
@@ -213,8 +224,12 @@ class PlantConfig(Config):
     robot: str = parameter(
         'puma', 'Robot: a name of config/robots, or the path of such a file.'
     )
-    engine: Literal['pybullet', 'mujoco'] = parameter(
-        'pybullet', 'What works out how the arm moves.'
+    engine: Annotated[
+        Literal['auto', 'pybullet', 'mujoco'], AfterValidator(choose_engine)
+    ] = parameter(
+        'auto',
+        'What works out how the arm moves; auto is pybullet where that is installed, else '
+        'mujoco.',
     )
     contact: Literal['compliant', 'native'] = parameter(
         'compliant',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
+from importlib.util import find_spec
 from typing import NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
@@ -316,16 +317,18 @@ def make_engine_arm(config: PlantConfig, arm: Arm) -> EngineArm:
 
     ConfigError if that is not installed.
     """
+    if find_spec(config.engine) is None:
+        raise ConfigError(
+            'engine',
+            f'an engine that is installed: pip install {config.engine}',
+            config.engine,
+        )
     if config.engine == 'pybullet':
         from sim_bridge.bullet_arm import BulletArm
 
         return BulletArm(arm, config.gravity_world, config.substep)
-    try:
-        from sim_bridge.mujoco_arm import MujocoArm
-    except ImportError as error:
-        raise ConfigError(
-            'engine', 'pybullet, or mujoco, by pip install mujoco', f'mujoco ({error})'
-        ) from None
+    from sim_bridge.mujoco_arm import MujocoArm
+
     return MujocoArm(arm, config)
 
 

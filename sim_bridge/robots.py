@@ -20,7 +20,11 @@ from multicontact_control.arrays import Vector
 from multicontact_control.compiled import find_cache_folder
 from multicontact_control.config import merge, read_parameters, read_yaml, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import find_config_folder, find_named_file
+from multicontact_control.paths import (
+    find_config_folder,
+    find_named_file,
+    list_named_files,
+)
 import numpy as np
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
@@ -359,22 +363,20 @@ class Robot:
 
 
 def robot_names() -> tuple[str, ...]:
-    """Return the names of the robots that come with the package, the default one first."""
-    files = (find_config_folder() / FOLDER).glob('*.yaml')
-    others = {file.stem for file in files} - {DEFAULT}
+    """Return the names of the robots, the default one first."""
+    others = set(list_named_files(FOLDER)) - {DEFAULT}
     return (DEFAULT, *sorted(others))
 
 
 def find_robot(name: str = DEFAULT) -> Robot:
     """
-    Return a robot of config/robots by its name, or of a user's own file by its path.
+    Return a robot by its name, or of a user's own file by its path.
 
     ConfigError if there is none, or its file is not valid.
     """
     path = find_named_file('robot', FOLDER, name)
-    robot_name = str(path.resolve())
-    if path.parent == find_config_folder() / FOLDER:
-        robot_name = path.stem
+    names = {file: known for known, file in list_named_files(FOLDER).items()}
+    robot_name = names.get(path, str(path.resolve()))
     return _read_robot(robot_name, path, path.stat().st_mtime_ns)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -51,9 +52,12 @@ gone = my_laws.gone:LAW
 [multicontact_control.noise_estimators]
 doubled = my_laws:Doubled
 gone = my_laws:Gone
+
+[multicontact_control.config]
+mine = my_files
 """
 CHOSEN = ('--law', 'gain', '--noise-estimator', 'doubled')
-SHORT = ('--scenario', 'quick', '--duration', '2')
+SHORT = ('--scenario', 'brief', '--robot', 'twin')
 
 
 @pytest.fixture
@@ -71,6 +75,15 @@ def installed(tmp_path_factory):
     """Return what calls `multicontact` where a package with that module is installed."""
     folder = tmp_path_factory.mktemp('installed')
     (folder / 'my_laws.py').write_text(MODULE)
+    for kind, like, name in (
+        ('robots', 'puma', 'twin'),
+        ('scenarios', 'quick', 'brief'),
+    ):
+        text = (ROOT / f'config/{kind}/{like}.yaml').read_text(encoding='utf-8')
+        file = folder / f'my_files/config/{kind}/{name}.yaml'
+        file.parent.mkdir(parents=True)
+        text = text.replace('urdf: ', f'urdf: {ROOT}/config/robots/')
+        file.write_text(re.sub('duration: .*', 'duration: 2.0', text))
     described = folder / 'my_laws-1.0.dist-info'
     described.mkdir()
     (described / 'METADATA').write_text('Name: my-laws\nVersion: 1.0\n')
@@ -109,6 +122,7 @@ def test_law_and_estimator_of_an_installed_package_are_those_of_the_nodes(
         assert 'estimator: doubled' in estimator
     usual = tmp_path / 'usual'
     assert installed('simulate', *SHORT, '--out', usual).returncode == 0
+    assert 'robot: twin' in (usual / 'config/plant.yaml').read_text()
     hashes.append(json.loads((usual / 'summary.json').read_text())['trajectory_sha256'])
     assert hashes[0] == hashes[1] != hashes[2]
 
@@ -121,6 +135,8 @@ def test_installed_names_are_choices_and_one_that_is_taken_is_left_out(installed
         [*NOISE_ESTIMATORS, 'doubled', 'gone'],
     ):
         assert '|'.join(names) in done.stdout.replace('\n', '')
+    for name in ('twin', 'brief'):
+        assert re.search(f'^ *{name} ', done.stdout, re.MULTILINE)
     (line,) = done.stderr.splitlines()
     assert line == (
         'force law aob: expected a name that is not taken, got my_laws:LAW beside '

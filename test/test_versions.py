@@ -1,5 +1,6 @@
 """That what setup.py demands exists as wheels, and that the oldest of it works; by uv."""
 
+import json
 import os
 from pathlib import Path
 import re
@@ -168,3 +169,44 @@ def test_a_pinocchio_for_numpy_1_computes_the_known_terms_or_is_refused(
         assert refused.returncode == 1
         assert 'got version 2.7.0' in refused.stderr.splitlines()[-1]
         assert not out.exists()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('version', 'numpy', 'engine'),
+    [
+        ('3.10', '2', 'pybullet'),
+        ('3.12', '2', 'mujoco'),
+        ('3.12', '1.26.4', 'mujoco'),  # as a native ROS 2 Jazzy
+        ('3.13', '2', 'mujoco'),
+    ],
+)
+def test_graph_runs_on_every_python_with_an_engine_that_has_wheels(
+    registry,
+    keywords,  # noqa: F811
+    tmp_path,
+    version,
+    numpy,
+    engine,
+):
+    found = uv('python', 'find', '--no-python-downloads', version)
+    if found.returncode != 0:
+        pytest.skip(f'no Python {version} is installed')
+    made = uv('venv', '--quiet', '--python', found.stdout.strip(), tmp_path / 'venv')
+    assert made.returncode == 0, made.stderr
+    python = tmp_path / 'venv/bin/python'
+    requirements = [*keywords['install_requires'], *keywords['extras_require']['ros']]
+    override = ''
+    if numpy != '2':
+        override = f'numpy=={numpy}\npin==3.3.1'
+    install(python, requirements, '--only-binary', ':all:', override=override)
+    out = tmp_path / 'run'
+    chosen = ('--scenario', 'quick', '--speed', '0', '--out', out)
+    done = run_here(
+        python, '-m', 'multicontact_control.cli', 'run', *chosen, folder=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert f'engine: {engine}' in (out / 'config/plant.yaml').read_text()
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['stable']
+    assert ('PyBullet is not installed' in done.stderr) == (engine == 'mujoco')

@@ -13,7 +13,7 @@ from multicontact_control.cli.design import design
 from multicontact_control.cli.follow import follow
 from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.robot import calibrate, new_robot, push_test
-from multicontact_control.cli.run import run, simulate, view
+from multicontact_control.cli.run import demo, run, simulate, view
 from multicontact_control.cli.study import study
 from multicontact_control.cli.topic import echo, list_topics, rate
 from multicontact_control.errors import ConfigError, MulticontactError
@@ -23,7 +23,7 @@ from typer.core import TyperCommand
 
 FIRST = """\
 Press a simulated or a real arm on several surfaces at once. Try first:
-  multicontact view                       see an arm in the browser, press, slide, push it
+  multicontact demo                       see an arm in the browser, press, slide, push it
   multicontact simulate --scenario quick  a first run, with figures and numbers
   multicontact run                        the paper's experiment on the ROS 2 graph, recorded
   multicontact view runs/latest           replay the latest run
@@ -35,6 +35,7 @@ FOLDERS = {  # of config/, by the option or argument that takes a name from it
     'name': 'studies',
 }
 COMMANDS = (
+    demo,
     run,
     simulate,
     view,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
+from importlib.util import find_spec
 import inspect
 from pathlib import Path
 import signal
@@ -12,7 +13,7 @@ from typing import Annotated, Any, Literal, TYPE_CHECKING
 
 from multicontact_control.choices import EstimatorChoice, LawChoice
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import find_config_folder
+from multicontact_control.paths import list_named_files
 import typer
 
 if TYPE_CHECKING:
@@ -108,7 +109,10 @@ class SetupOptions:
     ] = None
     engine: Annotated[
         Literal['pybullet', 'mujoco'] | None,
-        typer.Option(help='Physics engine; that of the plant, pybullet, if not given.'),
+        typer.Option(
+            help='Physics engine; that of the plant if not given: pybullet where it is '
+            'installed, else mujoco.'
+        ),
     ] = None
 
     def list_settings(self) -> list[str]:
@@ -221,16 +225,20 @@ def flatten_options(command: Callable[..., None]) -> Callable[..., None]:
     return flat
 
 
+def tell_missing_engine() -> None:
+    """Say what `auto` stands for where PyBullet is not installed."""
+    if find_spec('pybullet') is None:
+        typer.echo('PyBullet is not installed: engine auto is mujoco', err=True)
+
+
 def describe_files(folder: str) -> dict[str, str]:
     """
     Return the names of the files in a folder of ``config/``, with the first line of each.
 
-    The line is a comment that says what the file is; a name has the inner folder, as in laws/pi.
+    The line is a comment that says what the file is.
     """
-    there = find_config_folder() / folder
     descriptions = {}
-    for path in sorted(there.rglob('*.yaml')):
-        name = path.relative_to(there).with_suffix('').as_posix()
+    for name, path in list_named_files(folder).items():
         first_line = path.read_text(encoding='utf-8').partition('\n')[0]
         descriptions[name] = first_line.strip('# .')
     return descriptions

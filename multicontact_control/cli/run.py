@@ -1,4 +1,4 @@
-"""`multicontact run`, `simulate` and `view`."""
+"""`multicontact run`, `simulate`, `view` and `demo`."""
 
 from __future__ import annotations
 
@@ -104,6 +104,7 @@ def run(
         setup = chosen.external(graph.controller or (), context)
     else:
         options.refuse_options(context, ['controller'], 'without --external')
+        options.tell_missing_engine()
         setup = _simulated_setup(chosen, commanded=graph.commanded)
     # Only now: bad input is refused before the simulator is loaded.
     from multicontact_control.judging.judged_run import run_on_graph
@@ -160,6 +161,7 @@ def simulate(chosen: options.RunOptions) -> None:
     not judged; 1: not stable, or held by the supervisor.
     """
     options.end_at_signals('interrupted; nothing of this run is kept')
+    options.tell_missing_engine()
     setup = chosen.setup()
     from multicontact_control.judging.judged_run import simulate_run
 
@@ -230,11 +232,31 @@ def view(
                 context, OF_THE_ARM, 'with a run, which knows its own'
             )
     starts_graph = not page.graph and recording is None
+    if starts_graph:
+        options.tell_missing_engine()
     setup = chosen.setup(nodes=starts_graph)
+    _show(setup, page, place)
+
+
+@options.flatten_options
+def demo(chosen: options.SetupOptions) -> None:
+    """
+    Open a page in the browser: press, slide and push a simulated arm.
+
+    As `view --open`, which also replays recordings and joins graphs that run. Ctrl-C ends it.
+    """
+    options.tell_missing_engine()
+    _show(
+        chosen.setup(nodes=True), PageOptions(open_browser=True), options.PlaceOptions()
+    )
+
+
+def _show(setup: Setup, page: PageOptions, place: options.PlaceOptions) -> None:
+    """Show a page until Ctrl-C; RunError if what is shown has ended by itself."""
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view, ViewSubject
 
-    subject = ViewSubject(setup, recording, page.graph, **vars(place))
+    subject = ViewSubject(setup, page.recording, page.graph, **vars(place))
     ended = run_view(
         subject, typer.echo, port=page.port, open_browser=page.open_browser
     )

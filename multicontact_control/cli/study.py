@@ -151,6 +151,7 @@ def study(
     if execution.dry_run:
         show_plan(planned, folder, console)
         return
+    options.tell_missing_engine()
     results = run_study(
         planned,
         folder,
