@@ -56,8 +56,8 @@ BIN := $(VENV)/bin
 comma := ,
 PIP := $(WITH_ROS) $(BIN)/python -m pip install -qq --disable-pip-version-check
 # By uv, in a quarter of the time; by pip where uv is missing, or the registry known to pip alone.
-# uv does not see the packages of a native ROS 2.
-UV := $(BIN)/uv pip install --quiet --python $(BIN)/python
+# uv does not see the packages of a native ROS 2. The certificates are those of this machine.
+UV := UV_NATIVE_TLS=1 $(BIN)/uv pip install --quiet --python $(BIN)/python
 ifeq ($(ROS),native)
   install = $(PIP) $(KEPT) $(1)
 else

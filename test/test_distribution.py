@@ -5,7 +5,6 @@ The wheel alone, installed from the registry into an empty venv: every command i
 """
 
 import os
-from pathlib import Path
 import re
 import shutil
 import signal
@@ -14,6 +13,7 @@ import sys
 import time
 from urllib.request import urlopen
 
+from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 from ros_graph import PATIENCE, ROOT
 
@@ -21,7 +21,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 EXTRAS = 'ros,view'
 NODES = ('sim_node', 'multicontact_controller_node', 'noise_estimator_node')
 PARAMETER_FILES = ('plant_puma', 'controller', 'noise_estimator')
-DOMAIN = '71'
 
 
 @pytest.fixture(scope='module')
@@ -47,14 +46,12 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope='module')
 def environment(tmp_path_factory):
     """Return the environment of a user with empty caches, who has sourced nothing."""
-    environment = {
-        'HOME': str(tmp_path_factory.mktemp('home')),
-        'ROS_DOMAIN_ID': DOMAIN,
-    }
+    environment = {'HOME': str(tmp_path_factory.mktemp('home'))}
     for name, value in os.environ.items():
         if name in ('PATH', 'LANG') or name.startswith(('PIP_', 'UV_', 'SSL_')):
             environment[name] = value
-    return environment
+    with reserve_domain() as domain:
+        yield environment | {'ROS_DOMAIN_ID': str(domain)}
 
 
 @pytest.fixture(scope='module')
@@ -151,7 +148,7 @@ def test_nodes_by_their_own_commands_obey_the_python_client(
         )
     try:
         shutil.copy(ROOT / 'examples/press_and_slide.py', folder)
-        done = run('python', 'press_and_slide.py', DOMAIN)
+        done = run('python', 'press_and_slide.py', environment['ROS_DOMAIN_ID'])
         assert done.returncode == 0, done.stderr
         assert 'let go' in done.stdout
     finally:
@@ -160,8 +157,6 @@ def test_nodes_by_their_own_commands_obey_the_python_client(
 
 
 def test_ros2_run_finds_the_short_names(commands):
-    found = {
-        path.name
-        for path in Path(commands.parent / 'lib/multicontact_control').iterdir()
-    }
+    short_names = (commands.parent / 'lib/multicontact_control').iterdir()
+    found = {path.name for path in short_names}
     assert {'controller_node', 'sim_node', 'multicontact'} <= found
