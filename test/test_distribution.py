@@ -20,7 +20,7 @@ from ros_graph import PATIENCE, ROOT
 pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 EXTRAS = 'ros,view'
 NODES = ('sim_node', 'multicontact_controller_node', 'noise_estimator_node')
-PARAMETER_FILES = ('plant_puma', 'controller', 'noise_estimator')
+PARAMETER_FILES = ('plant_rigid', 'controller', 'noise_estimator')
 
 
 @pytest.fixture(scope='module')
