@@ -19,6 +19,7 @@ DOCUMENTS = [
     ROOT / 'README.md',
     ROOT / 'CONTRIBUTING.md',
     ROOT / 'CHANGELOG.md',
+    ROOT / 'SECURITY.md',
     *PAGES,
 ]
 PACKAGE = ROOT / 'multicontact_control'
