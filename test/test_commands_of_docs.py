@@ -32,6 +32,7 @@ import typer
 DOCUMENTS = [
     ROOT / 'README.md',
     ROOT / 'CONTRIBUTING.md',
+    ROOT / 'SECURITY.md',
     *sorted((ROOT / 'docs').glob('*.md')),
 ]
 TUTORIAL = ROOT / 'docs/tutorial.md'

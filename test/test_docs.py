@@ -19,6 +19,7 @@ DOCUMENTS = [
     ROOT / 'README.md',
     ROOT / 'CONTRIBUTING.md',
     ROOT / 'CHANGELOG.md',
+    ROOT / 'SECURITY.md',
     *PAGES,
 ]
 PACKAGE = ROOT / 'multicontact_control'
@@ -100,6 +101,16 @@ def test_links_and_files_of_a_document_are_there(document):
             assert any((folder / name).exists() for folder in FOLDERS), name
 
 
+def test_python_page_lists_what_its_html_documents():
+    """So that the page says the same where no HTML is made of it."""
+    page = ROOT / 'docs/api.md'
+    text = page.read_text(encoding='utf-8')
+    documented = re.findall(r'^\.\. auto\w+:: \S+\.(\w+)$', text, re.MULTILINE)
+    assert len(documented) > 20
+    for name in documented:
+        assert f'`{name}`' in prose(page), name
+
+
 @pytest.mark.nightly
 def test_documents_become_html_without_a_warning(tmp_path):
     """As `make docs` makes it."""
@@ -112,5 +123,5 @@ def test_documents_become_html_without_a_warning(tmp_path):
         text=True,
     )
     assert made.returncode == 0, made.stderr
-    page = (tmp_path / 'reference/python.html').read_text(encoding='utf-8')
+    page = (tmp_path / 'api.html').read_text(encoding='utf-8')
     assert 'multicontact_control.client.MultiContactClient.set_forces' in page

@@ -17,6 +17,7 @@ import pytest
 from ros_graph import PATIENCE, ROOT
 import setuptools
 from test_architecture import imports
+import yaml
 
 NAME = 'multicontact_control'
 PACKAGES = (NAME, 'sim_bridge')
@@ -53,6 +54,13 @@ def test_both_packages_are_installed_with_all_files(keywords):
     for script in keywords['entry_points']['console_scripts']:
         module, function = script.split(' = ')[1].split(':')
         assert function in Path(find_spec(module).origin).read_text(encoding='utf-8')
+
+
+def test_citation_has_the_version_and_the_licence_of_the_package(keywords):
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
+    assert citation['title'] == NAME
+    assert citation['version'] == multicontact_control.__version__
+    assert citation['license'] == MANIFEST.findtext('license') == keywords['license']
 
 
 def test_every_import_is_declared(keywords):
