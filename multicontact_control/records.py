@@ -21,6 +21,7 @@ from typing import (
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import MAX_DELAY_PERIODS
 import numpy as np
+from numpy.typing import NDArray
 
 RecordT_co = TypeVar('RecordT_co', covariant=True)
 
@@ -106,6 +107,8 @@ def _field_dtype(kind: Any) -> tuple[Any, ...]:
         return *_field_dtype(array), tuple(shape)
     if get_origin(kind) is Records:
         return _field_dtype(get_args(kind)[0])
+    if get_origin(kind) is NDArray:  # an alias with a name of its own, from numpy 2.5 on
+        return get_args(kind)
     if get_origin(kind) is np.ndarray:
         element = get_args(kind)[1]
         return get_args(element)
