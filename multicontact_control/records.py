@@ -107,7 +107,8 @@ def _field_dtype(kind: Any) -> tuple[Any, ...]:
         return *_field_dtype(array), tuple(shape)
     if get_origin(kind) is Records:
         return _field_dtype(get_args(kind)[0])
-    if get_origin(kind) is NDArray:  # an alias with a name of its own, from numpy 2.5 on
+    # From numpy 2.5 on NDArray is an alias with a name of its own.
+    if get_origin(kind) is NDArray:
         return get_args(kind)
     if get_origin(kind) is np.ndarray:
         element = get_args(kind)[1]
