@@ -211,7 +211,8 @@ def _draw_rows(
         _draw_ribbon(canvas, ribbon, points, colours, width)
     canvas.set_ylabel('pass')
     canvas.set_ylim(ribbons[-1].number + 0.7, ribbons[0].number - 0.7)
-    canvas.yaxis.set_major_locator(MaxNLocator(MOST_NUMBERS, integer=True))
+    numbers = MaxNLocator(MOST_NUMBERS, integer=True, min_n_ticks=1)
+    canvas.yaxis.set_major_locator(numbers)
     canvas.grid(alpha=0.3, axis='x')
 
 
