@@ -12,7 +12,6 @@ SHELL := /bin/bash
 VENV := .venv
 RUN_ARGS ?=
 TEST_ARGS ?=
-TESTED ?= not nightly
 CAMPAIGN_ARGS ?=
 SOAK_ARGS ?=
 BENCH_ARGS ?=
@@ -111,7 +110,7 @@ check: $(READY) lint  ## For every commit, a minute: style, types, unit tests
 	@$(WITH_ROS) exec $(PYTEST) -m 'not (ros or slow or nightly)' $(TEST_ARGS)
 
 test: $(READY) lint  ## Check style and types, then run the tests: six minutes
-	@$(WITH_ROS) exec $(PYTEST) -m '$(TESTED)' $(TEST_ARGS)
+	@$(WITH_ROS) exec $(PYTEST) -m 'not nightly' $(TEST_ARGS)
 
 nightly: $(READY)  ## What takes long: packaging, documents, browser, clusters, all robots, studies
 	@$(WITH_ROS) exec $(BIN)/python -m pytest -m nightly $(TEST_ARGS)

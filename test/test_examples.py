@@ -177,7 +177,7 @@ def test_arm_presses_slides_and_comes_back(run_beside_graph):
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.nightly  # beside other tests its commands may come too late for a sine
 def test_sine_of_force_is_followed(run_beside_graph):
     _, run = run_beside_graph
     output = run('sine_of_force.py')
