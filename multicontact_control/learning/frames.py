@@ -45,7 +45,6 @@ OF_WINDOW = {
 REQUIRED = ('observation.state', 'observation.force', 'action')
 CONTACT_STATE = 'observation.contact_state'
 STAMP = 'recording.stamp'
-TIME = 'recording.time'
 WINDOW_TIME = 'window.time'
 AXES = ('x', 'y', 'z')
 WRENCH_AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
@@ -105,7 +104,7 @@ class SampleSeries:
         self._data = run.data
         self._series = _find_series(run)
         self.left_out: list[str] = []
-        used = set()
+        used: set[str] = set()
         for feature, names in OF_FRAME.items():
             if all(name in self._series for name in names):
                 used.update(names)
@@ -171,7 +170,6 @@ class SampleSeries:
         """Return frames whose windows are these samples, shape (f, window), oldest first."""
         newest = rows[:, -1]
         stamps = self._stamps[newest]
-        since_first = (stamps - self._stamps[self.complete][0]) * 1e-9
         frames = Frames({}, {})
         for feature, names in OF_FRAME.items():
             if feature not in self.left_out:
@@ -183,13 +181,12 @@ class SampleSeries:
             frames, CONTACT_STATE, states, self._run.setup.controller.contact_names
         )
         for feature, name in OF_WINDOW.items():
-            if f'observation.{feature.partition(".")[2]}' not in self.left_out:
+            if name in self._series:
                 _add_feature(
                     frames, feature, self._series[name][rows], self._label(name)
                 )
         before = (self._stamps[rows] - stamps[:, None]) * 1e-9
         _add_feature(frames, WINDOW_TIME, before)
-        _add_feature(frames, TIME, since_first[:, None])
         _add_feature(frames, STAMP, stamps[:, None])
         return frames
 
