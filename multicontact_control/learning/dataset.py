@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, NamedTuple
 
 from multicontact_control.errors import ConfigError
@@ -23,6 +24,7 @@ EPISODES_FILE = Path('meta/episodes/chunk-000/file-000.parquet')
 TASKS_FILE = Path('meta/tasks.parquet')
 INFO_FILE = Path('meta/info.json')
 STATISTICS_FILE = Path('meta/stats.json')
+LONGEST_LIST = 100  # characters of the names that a line tells
 QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
 # What LeRobot counts by.
 INDICES = {
@@ -119,29 +121,28 @@ class _EpisodeWriter:
 
 
 def _describe(name: str, feature: Feature | None) -> str:
-    """Return a feature in words: its name, and those of its entries, or its shape."""
+    """Return a feature in words: its name, how many entries it has, and their names."""
     if feature is None:
         return f'no {name}'
-    shape = ' x '.join(map(str, feature.shape))
     names = ', '.join(feature.names or ())
-    return f'{name} [{shape}] {names}'.strip()
+    what = shorten(names, LONGEST_LIST, placeholder=' ...')
+    return f'{name} [{feature.shape[0]}] {what}'.strip()
 
 
 def make_column(values: NDArray[Any]) -> pa.Array:
-    """Return values, shape (f, ...), as a column of f lists, or of numbers for shape (f, 1)."""
+    """Return values, shape (f, k), as a column of f lists, or of numbers where k is 1."""
     column = pa.array(values.ravel())
-    if values.shape[1:] == (1,):
+    size = values.shape[1]
+    if size == 1:
         return column
-    for size in reversed(values.shape[1:]):
-        column = pa.FixedSizeListArray.from_arrays(column, size)
-    return column
+    return pa.FixedSizeListArray.from_arrays(column, size)
 
 
 def compute_statistics(values: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """
     Return what LeRobot knows of a feature: extremes, mean, deviation and quantiles over frames.
 
-    Each has the shape of a frame; `count` is the number of frames, shape (1,).
+    `values` have shape (f, k), and each statistic (k,); `count` is f, shape (1,).
     """
     exact = values.astype(np.float64)
     statistics = {
@@ -251,8 +252,8 @@ def _write_metadata(
 
 
 def read_column(column: pa.ChunkedArray, feature: Feature) -> NDArray[Any]:
-    """Return a column of `make_column` as an array, shape (f, *feature.shape)."""
+    """Return a column of `make_column` as an array, shape (f, k)."""
     array = column.combine_chunks()
-    while isinstance(array.type, pa.FixedSizeListType):
+    if feature.shape != (1,):
         array = array.flatten()
     return array.to_numpy().reshape(-1, *feature.shape)

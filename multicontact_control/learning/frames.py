@@ -25,6 +25,8 @@ OF_FRAME = {
     'observation.state': ('q', 'position', 'quaternion'),
     'observation.velocity': ('qd',),
     'observation.effort': ('effort',),
+    # Beside `state` the only numbers that most policies of LeRobot take.
+    'observation.environment_state': ('alpha_meas', 'alpha_est', 'noise_variance'),
     'observation.wrench': ('wrench',),
     'observation.force': ('alpha_meas',),
     'observation.force_estimated': ('alpha_est',),
@@ -33,8 +35,9 @@ OF_FRAME = {
     'observation.stiffness': ('stiffness',),
     'action': ('position_des', 'quaternion_des', 'alpha_des'),
 }
-# And of every sample of its window. No name begins with `observation`, by which a policy of
-# LeRobot takes its inputs: these are matrices, which few of them know.
+# And of every sample of its window, sample by sample in one row: LeRobot's tools that edit a
+# dataset know no matrices. No name begins with `observation`, by which its policies take their
+# inputs.
 OF_WINDOW = {
     'window.wrench': 'wrench',
     'window.force': 'alpha_meas',
@@ -46,10 +49,19 @@ REQUIRED = ('observation.state', 'observation.force', 'action')
 CONTACT_STATE = 'observation.contact_state'
 STAMP = 'recording.stamp'
 WINDOW_TIME = 'window.time'
-AXES = ('x', 'y', 'z')
-WRENCH_AXES = ('fx', 'fy', 'fz', 'tx', 'ty', 'tz')
-QUATERNION_AXES = ('qx', 'qy', 'qz', 'qw')
-AXES_BY_WIDTH = {3: AXES, 4: QUATERNION_AXES, 6: WRENCH_AXES}
+AXES_BY_WIDTH = {
+    3: ('x', 'y', 'z'),
+    4: ('qx', 'qy', 'qz', 'qw'),
+    6: ('fx', 'fy', 'fz', 'tx', 'ty', 'tz'),
+}
+# What a series of contacts is called before the name of each contact.
+OF_CONTACTS = {
+    'alpha_meas': 'force',
+    'alpha_est': 'force_estimated',
+    'alpha_des': 'force_desired',
+    'noise_variance': 'force_variance',
+    'stiffness': 'stiffness',
+}
 UNKNOWN_STATE = -1
 
 
@@ -57,8 +69,8 @@ class Feature(NamedTuple):
     """A column of a dataset: what each frame has of it."""
 
     dtype: str  # of numpy
-    shape: tuple[int, ...]  # of one frame; (1,) for a single number
-    names: tuple[str, ...] | None  # of the entries along the last axis
+    shape: tuple[int]  # of one frame
+    names: tuple[str, ...] | None  # of the entries
 
     def describe(self) -> dict[str, Any]:
         """Return the entry of the feature in ``info.json``."""
@@ -69,7 +81,7 @@ class Frames(NamedTuple):
     """
     The frames of one stretch of a recording in which no sample is missing for longer than 0.1 s.
 
-    Values have a row for each of the f frames, shape (f, *feature.shape).
+    Values have a row for each of the f frames, shape (f, k) with the k entries of the feature.
     """
 
     features: dict[str, Feature]
@@ -182,9 +194,9 @@ class SampleSeries:
         )
         for feature, name in OF_WINDOW.items():
             if name in self._series:
-                _add_feature(
-                    frames, feature, self._series[name][rows], self._label(name)
-                )
+                samples = self._series[name][rows].reshape(len(rows), -1)
+                window = _label_window(self._label(name), rows.shape[1])
+                _add_feature(frames, feature, samples, window)
         before = (self._stamps[rows] - stamps[:, None]) * 1e-9
         _add_feature(frames, WINDOW_TIME, before)
         _add_feature(frames, STAMP, stamps[:, None])
@@ -196,7 +208,8 @@ class SampleSeries:
             return self._data.joint_names
         if series in WIDTHS:
             return AXES_BY_WIDTH[WIDTHS[series]]
-        return self._data.contact_names
+        kind = OF_CONTACTS[series]
+        return [f'{kind}.{name}' for name in self._data.contact_names]
 
 
 def _add_feature(
@@ -211,8 +224,16 @@ def _add_feature(
     names = None
     if labels is not None:
         names = tuple(labels)
-    frames.features[name] = Feature(values.dtype.name, values.shape[1:], names)
+    frames.features[name] = Feature(values.dtype.name, (values.shape[1],), names)
     frames.values[name] = values
+
+
+def _label_window(labels: Sequence[str], window: int) -> list[str]:
+    """Return the names of a window's entries: ``@0`` is the newest sample, ``@-1`` that before."""
+    names = []
+    for age in reversed(range(window)):
+        names += [f'{label}@{-age}' for label in labels]
+    return names
 
 
 def count_samples_per_frame(rate: float, fps: int) -> int:

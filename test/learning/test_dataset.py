@@ -37,6 +37,11 @@ FORCE_FEATURES = {
 }
 FEATURES = {f'observation.{name}': (topic,) for name, topic in FORCE_FEATURES.items()}
 FEATURES |= {
+    'observation.environment_state': (
+        'contact_forces/measured',
+        'contact_forces/estimated',
+        'contact_forces/noise_variance',
+    ),
     'observation.wrench': ('ft_sensor/wrench',),
     'observation.stiffness': ('contact_forces/stiffness',),
     'action': ('operational_point/pose_desired', 'contact_forces/desired'),
@@ -175,8 +180,8 @@ def read_frames(folder):
 
 
 def stack(column):
-    """Return a column of pandas, of numbers or nested lists, as an array."""
-    return np.stack([np.stack(np.atleast_1d(row)) for row in column])
+    """Return a column of pandas, of numbers or lists, as an array, shape (f, k)."""
+    return np.stack([np.atleast_1d(row) for row in column])
 
 
 def window_stamps(frames):
@@ -204,7 +209,7 @@ def test_every_number_is_that_of_the_bag(bag, tmp_path):
     for row, stamps in enumerate(window_stamps(frames)):
         for feature, topic in WINDOWS.items():
             expected = np.float32([numbers[topic][stamp] for stamp in stamps])
-            found = np.stack(frames[feature][row])
+            found = frames[feature][row].reshape(len(stamps), -1)
             np.testing.assert_array_equal(found, expected)
     assert f'images are left out: /{IMAGE}' in said
 
@@ -238,7 +243,9 @@ def test_window_times_are_true_where_samples_are_late_or_lost(data, tmp_path, rn
         last = np.searchsorted(there, window[-1])
         np.testing.assert_array_equal(window, there[last - 9 : last + 1])
         expected = np.float32([measured[stamp] for stamp in window])
-        np.testing.assert_array_equal(np.stack(frames['window.force'][row]), expected)
+        np.testing.assert_array_equal(
+            frames['window.force'][row].reshape(10, 2), expected
+        )
     episodes = frames.groupby('episode_index')
     assert len(episodes) == 2
     for _, episode in episodes:
@@ -339,7 +346,7 @@ def test_what_a_robot_does_not_publish_is_left_out_and_named(tmp_path):
     for feature in ('wrench', 'force_estimated', 'stiffness', 'effort'):
         assert f'observation.{feature}' in said
         assert f'observation.{feature}' not in frames
-    assert stack(frames['window.force']).shape[1:] == (5, 1)
+    assert stack(frames['window.force']).shape[1] == 5
     assert (stack(frames['observation.contact_state']) == -1).all()
 
 
@@ -364,7 +371,10 @@ def test_bad_input_exits_with_two_and_one_line(bag, data, tmp_path, monkeypatch)
             (bag, bag, bag, '--out', 'out', '--task', 'a', '--task', 'b'),
             '--task: expected',
         ),
-        ((bag, other, '--out', 'out'), 'observation.force [2] table, wall in other'),
+        (
+            (bag, other, '--out', 'out'),
+            'observation.force [2] force.table, force.wall in other',
+        ),
     ):
         done = CliRunner().invoke(app, ['dataset', *map(str, arguments)])
         assert done.exit_code == 2
