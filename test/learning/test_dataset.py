@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import subprocess
 from types import SimpleNamespace
 
 from canonical_runs import run_of, summary_of
@@ -15,8 +17,9 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from ros_graph import start_command, wait_for
+from ros_graph import ROOT, start_command, wait_for
 from rosbags.typesys import get_typestore, Stores
+from test_versions import install, OF_THIS_VENV, registry, venv_python  # noqa: F401
 from typer.testing import CliRunner
 
 RATE = 500
@@ -403,3 +406,62 @@ def test_export_that_is_killed_leaves_no_dataset(bag, tmp_path):
     export(bag, '--out', out)
     assert len(read_frames(out)) == SECONDS * 50
     assert not (tmp_path / 'out.partial').exists()
+
+
+READ_ALL = """
+import sys
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+import numpy as np
+dataset = LeRobotDataset('local/press', root='datasets/press')
+assert dataset.num_episodes == 2 and dataset.fps == 50
+frames = [dataset[k] for k in range(len(dataset))]
+values = {key: np.stack([np.atleast_1d(f[key]) for f in frames]) for key in dataset.features}
+np.savez('read.npz', **values, task=[f['task'] for f in frames])
+history = {'window.force': [-0.02, 0.0]}
+dataset = LeRobotDataset('local/press', root='datasets/press', delta_timestamps=history)
+np.save('history.npy', dataset[30]['window.force'].numpy())
+"""
+SPLIT = '{"first": [0], "second": [1]}'
+
+
+@pytest.mark.nightly
+def test_lerobot_reads_every_number_trains_and_splits(bag, tmp_path, venv_python):  # noqa: F811
+    """As the document says: its program and its command, in an environment of LeRobot's own."""
+    install(venv_python, ['lerobot==0.4.4'])
+    environment = {**os.environ, 'HF_HUB_OFFLINE': '1', 'HF_HOME': str(tmp_path / 'hf')}
+    for name in (*OF_THIS_VENV, 'PYTHONPATH'):
+        environment.pop(name, None)
+
+    def run(program, *arguments):
+        command = [venv_python.parent / program, *map(str, arguments)]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr[-3000:]
+        return done.stdout
+
+    folder = tmp_path / 'datasets/press'
+    export(bag, bag, '--out', folder, '--task', 'press')
+    run('python', '-c', READ_ALL)
+    frames = read_frames(folder)
+    with np.load(tmp_path / 'read.npz') as read:
+        assert set(read) == {*frames.columns, 'task'}
+        for feature in frames.columns:
+            np.testing.assert_array_equal(read[feature], stack(frames[feature]))
+        assert (read['task'] == 'press').all()
+    history = stack(frames['window.force'])[29:31]
+    np.testing.assert_array_equal(np.load(tmp_path / 'history.npy'), history)
+    text = (ROOT / 'docs/datasets.md').read_text()
+    (program,) = re.findall(r'^```py\n(.*?)^```$', text, re.MULTILINE | re.DOTALL)
+    assert 'torch.Size([30, 2]) torch.Size([3, 9]) press' in run(
+        'python', '-c', program
+    )
+    (command,) = re.findall(
+        r'^lerobot-train (.*?)^```$', text, re.MULTILINE | re.DOTALL
+    )
+    words = command.replace('\\\n', ' ').split()
+    short = ('--steps=1', '--batch_size=2', '--num_workers=0', '--policy.device=cpu')
+    run('lerobot-train', *words, *short, '--save_checkpoint=false')
+    place = ('--repo_id', 'local/press', '--root', folder)
+    operation = ('--operation.type', 'split', '--operation.splits', SPLIT)
+    run('lerobot-edit-dataset', *place, *operation)
