@@ -25,14 +25,14 @@ OF_FRAME = {
     'observation.state': ('q', 'position', 'quaternion'),
     'observation.velocity': ('qd',),
     'observation.effort': ('effort',),
-    # Beside `state` the only numbers that most policies of LeRobot take.
-    'observation.environment_state': ('alpha_meas', 'alpha_est', 'noise_variance'),
     'observation.wrench': ('wrench',),
     'observation.force': ('alpha_meas',),
     'observation.force_estimated': ('alpha_est',),
     'observation.force_desired': ('alpha_des',),
     'observation.force_variance': ('noise_variance',),
     'observation.stiffness': ('stiffness',),
+    # Beside `state` the only numbers that most policies of LeRobot take.
+    'observation.environment_state': ('alpha_meas', 'alpha_est', 'noise_variance'),
     'action': ('position_des', 'quaternion_des', 'alpha_des'),
 }
 # And of every sample of its window, sample by sample in one row: LeRobot's tools that edit a
