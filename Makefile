@@ -77,8 +77,8 @@ SOURCES := $(shell find multicontact_control sim_bridge -name '*.py')
 
 define CHECK_PYTHON
 import sys
-if sys.version_info < (3, 10):
-    sys.exit(f'error: {sys.executable} is Python {sys.version.split()[0]}; 3.10 or newer is '
+if not (3, 10) <= sys.version_info < (3, 14):
+    sys.exit(f'error: {sys.executable} is Python {sys.version.split()[0]}; 3.10 to 3.13 is '
              'needed (make PYTHON=...)')
 endef
 export CHECK_PYTHON

@@ -103,10 +103,15 @@ def register_config_folder(name: str, folder: str) -> None:
 
 
 def _register_config_package(name: str, package: str) -> None:
-    """Register the folder ``config`` of a package; the package is not imported."""
-    spec = find_spec(package.partition('.')[0])
-    places = (spec and spec.submodule_search_locations) or ['']
-    register_config_folder(name, str(Path(places[0], 'config')))
+    """Register the folder ``config`` of a package of the top level, which is not imported."""
+    spec = find_spec(package) if package.isidentifier() else None
+    if spec is None or not spec.submodule_search_locations:
+        raise ConfigError(
+            f'configuration folder {name}', 'a package of the top level', package
+        )
+    register_config_folder(
+        name, str(Path(spec.submodule_search_locations[0], 'config'))
+    )
 
 
 def _register(registry: dict[str, str], title: str, name: str, place: str) -> None:

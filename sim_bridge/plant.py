@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
-from importlib.util import find_spec
 from typing import NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
@@ -315,20 +314,21 @@ def make_engine_arm(config: PlantConfig, arm: Arm) -> EngineArm:
     """
     Return the arm of a plant in its engine, whose library is imported here alone.
 
-    ConfigError if that is not installed.
+    ConfigError if that cannot be loaded.
     """
-    if find_spec(config.engine) is None:
+    try:
+        if config.engine == 'pybullet':
+            from sim_bridge.bullet_arm import BulletArm
+        else:
+            from sim_bridge.mujoco_arm import MujocoArm
+    except ImportError as error:
         raise ConfigError(
             'engine',
-            f'an engine that is installed: pip install {config.engine}',
-            config.engine,
-        )
+            f'an engine that can be loaded, by pip install {config.engine}',
+            f'{config.engine} ({error})',
+        ) from None
     if config.engine == 'pybullet':
-        from sim_bridge.bullet_arm import BulletArm
-
         return BulletArm(arm, config.gravity_world, config.substep)
-    from sim_bridge.mujoco_arm import MujocoArm
-
     return MujocoArm(arm, config)
 
 

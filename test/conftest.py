@@ -44,10 +44,7 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     """Put what takes longest first, file by file, so that no worker begins it last."""
-    longest = set()
-    for item in items:
-        if item.get_closest_marker('slow') or item.get_closest_marker('browser'):
-            longest.add(item.path)
+    longest = {item.path for item in items if item.get_closest_marker('slow')}
     items.sort(
         key=lambda item: (group(item.nodeid) != REAL_TIME[0], item.path not in longest)
     )

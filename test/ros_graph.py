@@ -89,15 +89,17 @@ def keep_waiting(what: str) -> None:
 
 
 @contextmanager
-def obedient_graph(folder: Path, namespace: str = 'arm') -> Iterator[int]:
-    """Run the rigid plant's graph, as fast as it goes; yield its domain."""
+def obedient_graph(
+    folder: Path, namespace: str = 'arm', speed: float = 0.0
+) -> Iterator[int]:
+    """Run the rigid plant's graph, at 0 as fast as it goes; yield its domain."""
     setup = resolve('quick', plant='rigid')
     with reserve_domain() as domain_id:
         spec = GraphSpec(
             out=folder,
             ticks=0,
             rate=500.0,
-            speed=0.0,
+            speed=speed,
             domain_id=domain_id,
             namespace=namespace,
             parameter_files=setup.write(folder / 'config'),

@@ -19,6 +19,7 @@ from ros_graph import PATIENCE, ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 EXTRAS = 'ros,view'
+ADDRESS = re.compile(r'http://\S+')
 NODES = ('sim_node', 'multicontact_controller_node', 'noise_estimator_node')
 PARAMETER_FILES = ('plant_rigid', 'controller', 'noise_estimator')
 
@@ -96,9 +97,9 @@ def run(commands, folder, environment):
 
 
 def stop(process):
-    """End a process as Ctrl-C does, and return its exit code."""
+    """End a process as Ctrl-C does."""
     process.send_signal(signal.SIGINT)
-    return process.wait(PATIENCE)
+    process.wait(PATIENCE)
 
 
 def test_first_commands_need_nothing_but_the_wheel(run, folder):
@@ -121,14 +122,13 @@ def test_demo_serves_its_page(commands, folder, environment):
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        for line in process.stdout:
-            found = re.search(r'http://\S+', line)
-            if found:
-                break
-        with urlopen(found[0]) as page:
-            assert b'</html>' in page.read()
-        show('multicontact demo, until its page is served', begin)
-        stop(process)
+        try:
+            address = next(filter(None, map(ADDRESS.search, process.stdout)))[0]
+            with urlopen(address) as page:
+                assert b'</html>' in page.read()
+            show('multicontact demo, until its page is served', begin)
+        finally:
+            stop(process)
 
 
 def test_nodes_by_their_own_commands_obey_the_python_client(
@@ -147,12 +147,11 @@ def test_nodes_by_their_own_commands_obey_the_python_client(
             command.insert(1, '--autostart')
         if file == 'controller':  # which waits for a simulator that is slow
             command += ['-p', 'patience:=0.0']
-        log = (folder / f'{name}.log').open('w')
-        nodes.append(
-            subprocess.Popen(
+        with (folder / f'{name}.log').open('w') as log:
+            node = subprocess.Popen(
                 command, cwd=folder, env=environment, stdout=log, stderr=log
             )
-        )
+        nodes.append(node)
     try:
         shutil.copy(ROOT / 'examples/press_and_slide.py', folder)
         done = run('python', 'press_and_slide.py', environment['ROS_DOMAIN_ID'])

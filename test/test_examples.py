@@ -144,7 +144,9 @@ def test_run_is_read_and_drawn(load_example, tmp_path, capsys):
 @pytest.fixture(scope='module')
 def run_beside_graph(tmp_path_factory):
     """Return what runs an example beside a simulated arm that obeys commands."""
-    with obedient_graph(tmp_path_factory.mktemp('graph'), namespace='') as domain_id:
+    folder = tmp_path_factory.mktemp('graph')
+    # Faster than real time it would not wait for a program whose turn comes late.
+    with obedient_graph(folder, namespace='', speed=0.5) as domain_id:
 
         def run(name, *arguments):
             environment = {
@@ -177,7 +179,7 @@ def test_arm_presses_slides_and_comes_back(run_beside_graph):
 
 
 @pytest.mark.ros
-@pytest.mark.nightly  # beside other tests its commands may come too late for a sine
+@pytest.mark.slow
 def test_sine_of_force_is_followed(run_beside_graph):
     _, run = run_beside_graph
     output = run('sine_of_force.py')

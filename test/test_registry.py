@@ -55,6 +55,7 @@ gone = my_laws:Gone
 
 [multicontact_control.config]
 mine = my_files
+nowhere = no_such_package
 """
 CHOSEN = ('--law', 'gain', '--noise-estimator', 'doubled')
 SHORT = ('--scenario', 'brief', '--robot', 'twin')
@@ -137,11 +138,12 @@ def test_installed_names_are_choices_and_one_that_is_taken_is_left_out(installed
         assert '|'.join(names) in done.stdout.replace('\n', '')
     for name in ('twin', 'brief'):
         assert re.search(f'^ *{name} ', done.stdout, re.MULTILINE)
-    (line,) = done.stderr.splitlines()
-    assert line == (
+    assert done.stderr.splitlines() == [
         'force law aob: expected a name that is not taken, got my_laws:LAW beside '
-        f'{FORCE_LAWS["aob"]}, which has it; it is left out'
-    )
+        f'{FORCE_LAWS["aob"]}, which has it; it is left out',
+        'configuration folder nowhere: expected a package of the top level, got '
+        'no_such_package; it is left out',
+    ]
 
 
 @pytest.mark.slow
@@ -171,7 +173,7 @@ def test_what_cannot_be_imported_or_is_unknown_is_refused_in_one_line(
 ):
     done = installed('simulate', *SHORT, *choice, '--out', tmp_path / 'run')
     assert done.returncode == 2
-    assert done.stderr.splitlines()[1:] == [f'multicontact: {message}']
+    assert done.stderr.splitlines()[2:] == [f'multicontact: {message}']
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,11 +1,15 @@
 """Every robot on every engine: the same rigid bodies as pinocchio's."""
 
+import sys
+
 from multicontact_control.config import validate
+from multicontact_control.errors import ConfigError
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pinocchio as pin
 import pytest
 from robots import carried, ENGINES, needs_mujoco, ROBOTS
+from sim_bridge import config as plant_parameters
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.plant import make_engine_arm, Plant
@@ -38,6 +42,27 @@ def expected_wrench(arm, model, data, force, point):
     inertial = body * acceleration + twist.cross(body * twist)
     push = pin.Force(force, np.cross(point, force))
     return (inertial - pose.actInv(push)).vector
+
+
+def test_auto_is_pybullet_where_it_is_installed_else_mujoco(monkeypatch):
+    assert plant_config('puma').engine == 'pybullet'
+    monkeypatch.setattr(plant_parameters, 'find_spec', lambda name: None)
+    assert plant_config('puma').engine == 'mujoco'
+    chosen = find_robot('puma').plant_values('rigid') | {'engine': 'pybullet'}
+    assert validate(PlantConfig, chosen).engine == 'pybullet'
+
+
+@pytest.mark.parametrize(
+    ('engine', 'module'), [('pybullet', 'bullet_arm'), ('mujoco', 'mujoco_arm')]
+)
+def test_engine_that_cannot_be_loaded_is_refused_with_its_name(
+    monkeypatch, engine, module
+):
+    monkeypatch.setitem(sys.modules, engine, None)
+    monkeypatch.delitem(sys.modules, f'sim_bridge.{module}', raising=False)
+    config = plant_config('puma', engine=engine)
+    with pytest.raises(ConfigError, match=f'engine: .* pip install {engine}, got'):
+        make_engine_arm(config, find_robot('puma').arm)
 
 
 @pytest.mark.parametrize('largest_push', [0.0, 1.0])
