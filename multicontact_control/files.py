@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import json
 import math
 from pathlib import Path
+import shutil
 from typing import Any
 
 from multicontact_control.errors import ConfigError
@@ -28,6 +31,33 @@ def replace_binary_file(path: Path, content: bytes) -> None:
     partial = path.with_suffix('.partial')
     partial.write_bytes(content)
     partial.replace(path)
+
+
+@contextmanager
+def make_whole_folder(folder: Path) -> Iterator[Path]:
+    """
+    Yield a folder to be filled, which gets its name when it is complete.
+
+    Until then it is beside it, as ``<name>.partial``; an exception removes it. A process that is
+    killed leaves it there, where the next one replaces it. Raises ConfigError of `out` if there is
+    something of that name, or the folder cannot be made.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise ConfigError('out', 'a folder that is not there yet', folder)
+    partial = folder.with_name(f'{folder.name}.partial')
+    try:
+        if partial.exists():
+            shutil.rmtree(partial)
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise ConfigError(
+            'out', 'a folder that can be made', f'{folder} ({error.strerror})'
+        ) from None
+    try:
+        yield partial
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def replace_json_file(path: Path, content: Any) -> None:

@@ -126,20 +126,26 @@ def rows(seconds):
 
 def write_bag(folder, *, without=(TRUTH,), seconds=4.0, change=lambda x: x):
     """Write a recording to the only MCAP file of a new folder, and return it."""
+    messages = []
+    for topic, time, message in rows(seconds):
+        if topic not in without:
+            messages.append((topic, START + round(time * 1e9), change(message)))
+    return write_messages(folder, messages)
+
+
+def write_messages(folder, messages, types=TYPES):
+    """Write messages, each with its topic and time [ns], to the only file of a new folder."""
     folder.mkdir(parents=True)
     path = folder / 'bag_0.mcap'
     store = get_typestore(Stores.ROS2_JAZZY)
     schemas = {}
     with path.open('wb') as stream:
         writer = Writer(stream, chunk_size=4096)
-        for kind in TYPES.values():
+        for kind in types.values():
             definition, _ = store.generate_msgdef(kind, ros_version=2)
             schemas[kind] = writer.register_msgdef(kind, definition)
-        for topic, time, message in rows(seconds):
-            if topic not in without:
-                ns = START + round(time * 1e9)
-                schema = schemas[TYPES[topic]]
-                writer.write_message(f'/{topic}', schema, change(message), ns, ns)
+        for topic, ns, message in messages:
+            writer.write_message(f'/{topic}', schemas[types[topic]], message, ns, ns)
         writer.finish()
     return path
 

@@ -32,6 +32,7 @@ LAYERS = {
     'faults': 8,
     'study': 9,
     'view': 9,
+    'learning': 9,
     'cli': 10,
     '__main__': 10,
 }
@@ -70,9 +71,10 @@ BUDGETS = {
     'faults': 12_200,
     'study': 20_200,
     'view': 20_580,
-    'cli': 7_100,
+    'learning': 3_520,
+    'cli': 7_750,
     'sim_bridge': 30_400,
-    'test': 187_000,
+    'test': 191_000,
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }

@@ -53,6 +53,7 @@ OTHERS = (
     'cp',
     'dask',
     'franka_bridge',
+    'lerobot-train',
     'noise_estimator_node --autostart --ros-args',
     'pip install',
     'python docs/',

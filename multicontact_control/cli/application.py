@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from multicontact_control import __version__
 from multicontact_control.cli import options
+from multicontact_control.cli.dataset import dataset
 from multicontact_control.cli.design import design
 from multicontact_control.cli.follow import follow
 from multicontact_control.cli.report import identify, report
@@ -41,6 +42,7 @@ COMMANDS = (
     view,
     follow,
     report,
+    dataset,
     study,
     identify,
     calibrate,
@@ -48,7 +50,8 @@ COMMANDS = (
     new_robot,
     design,
 )
-WITH_ARGUMENTS = (follow, report, study, identify, new_robot, design)  # at least one
+# That need at least one argument.
+WITH_ARGUMENTS = (follow, report, dataset, study, identify, new_robot, design)
 
 app = typer.Typer(
     pretty_exceptions_enable=False,

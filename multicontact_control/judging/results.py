@@ -67,6 +67,7 @@ class LoadedRun(NamedTuple):
     setup: Setup
     data: recording.RunData
     summary: dict[str, Any]
+    content: recording.BagContent | None = None  # of the bag; None of a run in process
 
     @property
     def metrics(self) -> RunMetrics:
@@ -124,7 +125,7 @@ def load_run(folder: Path | str) -> LoadedRun:
             bag, setup.controller, answered=not setup.simulated
         )
         summary = _update_summary(bag, setup, content, summary)
-        return LoadedRun(folder, setup, content.data, summary)
+        return LoadedRun(folder, setup, content.data, summary, content)
     if (folder / recording.SERIES_FILE).is_file():
         return LoadedRun(folder, setup, recording.RunData.load(folder), summary)
     raise RunError(
@@ -210,7 +211,7 @@ def load(
         remarks=remarks,
     )
     summary['supervised'] = None
-    return LoadedRun(path, setup, content.data, summary)
+    return LoadedRun(path, setup, content.data, summary, content)
 
 
 def _rebuild_setup(path: Path, messages: BagMessages, files: Sequence[Path]) -> Setup:

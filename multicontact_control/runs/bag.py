@@ -16,6 +16,7 @@ from mcap_ros2.decoder import DecoderFactory
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.supervision.contacts import STATE_NAMES
 import numpy as np
 from numpy.typing import NDArray
 import zstandard
@@ -29,6 +30,7 @@ WRENCH = 'geometry_msgs/msg/WrenchStamped'
 POSE = 'geometry_msgs/msg/PoseStamped'
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
+IMAGES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 
 Numbers = dict[tuple[str, str], float]  # of one message, by field and name
 
@@ -86,12 +88,13 @@ def read_markers(message: Any) -> Numbers:
     return numbers
 
 
-def read_obeyed_forces(message: Any) -> Numbers:
+def read_status(message: Any) -> Numbers:
     """
-    Return the forces that a controller obeys [N], of a status such as `table 10, board 5`.
+    Return the forces that a controller obeys [N], and the state of each contact.
 
-    The status says what was accepted, where the command topic says what was asked for. It is empty
-    while no force is asked for.
+    Forces are in words such as `table 10, board 5`: what was accepted, where the command topic
+    says what was asked for; there are none while no force is asked for. States are in words such
+    as `table holding, board free`, and indices of `STATE_NAMES` as numbers.
     """
     numbers = {}
     for value in message.values:
@@ -99,6 +102,10 @@ def read_obeyed_forces(message: Any) -> Numbers:
             for named_force in value.value.split(', '):
                 name, force = named_force.rsplit(' ', 1)
                 numbers['effort', name] = float(force)
+        if value.key == 'contacts' and value.value:
+            for named_state in value.value.split(', '):
+                name, state = named_state.split(' ', 1)
+                numbers['state', name] = float(STATE_NAMES.index(state))
     return numbers
 
 
@@ -107,7 +114,7 @@ READERS: dict[str, Callable[[Any], Numbers]] = {
     WRENCH: read_wrench,
     POSE: read_pose,
     MARKERS: read_markers,
-    STATUS: read_obeyed_forces,
+    STATUS: read_status,
 }
 
 
@@ -224,6 +231,7 @@ class BagMessages:
 
     by_topic: Mapping[str, BagColumns]  # by the name within the graph's namespace
     others: Sequence[str]  # full names of all other topics, sorted
+    images: Sequence[str]  # those of them that are images
     cut_off: bool  # whether a file ends in the middle of a record
     unreadable: Sequence[str]  # what could not be read of these topics, in words
     loss: RecordingLoss
@@ -324,6 +332,7 @@ def read_messages(
     columns: dict[str, BagColumns] = {}  # by full name
     unreadable: dict[str, str] = {}  # why, by full name
     places: dict[str, tuple[str, str]] = {}  # namespace and topic, by full name
+    images: list[str] = []
     count = 0
     cut_off = False
     last_cut_off = False
@@ -336,6 +345,8 @@ def read_messages(
         name = record.topic
         if name not in places:
             places[name] = _split_name(name, types)
+            if record.type_name in IMAGES:
+                images.append(name)
         _, topic = places[name]
         if not topic or name in unreadable:
             continue
@@ -360,6 +371,7 @@ def read_messages(
     return BagMessages(
         by_topic=by_graph.get(namespace.strip('/'), {}),
         others=sorted(places.keys() - columns.keys()),
+        images=sorted(images),
         cut_off=cut_off,
         unreadable=[f'{name}: {why}' for name, why in unreadable.items()],
         loss=_compare_with_metadata(path, count, last_cut_off),

@@ -277,6 +277,11 @@ class BagContent:
     remarks: tuple[str, ...]  # what could not be read, and what is not there, in words
     start: int  # stamp of the first sample [ns]
     missing: tuple[Missing, ...]  # stretches without samples
+    # Of the samples [ns], shape (m,); 0 in rows without one.
+    stamps: NDArray[np.int64]
+    # Of the c contacts, as indices of `STATE_NAMES`, shape (m, c); NaN before the first status.
+    contact_states: Matrix
+    images: tuple[str, ...]  # topics of images, which have no series
 
     @property
     def unanswered(self) -> int:
@@ -368,6 +373,16 @@ class _SampleClock(NamedTuple):
         """Return the number of rows from the first sample to the last one, both included."""
         return int(self.rows[-1]) + 1
 
+    def find_rows_after(self, published: NDArray[np.uint64]) -> NDArray[np.int64]:
+        """
+        Return the row of the next sample that is published after each of some messages.
+
+        Their times are in [ns since the epoch]; behind the last sample is a row more.
+        """
+        order = np.argsort(self.published)
+        places = np.searchsorted(self.published[order], published)
+        return np.append(self.rows[order], self.ticks)[places]
+
 
 def _read_sample_clock(
     path: Path, messages: bag.BagMessages, controller: ControllerConfig
@@ -408,9 +423,11 @@ def align_messages(
     data = empty_run_data(clock.ticks, controller)
     for topic, columns in messages.by_topic.items():
         _fill_series(data, topic, columns, clock)
-    data = replace(
-        data, command=_commanded_forces(data, messages.by_topic.get(OBEYED), clock)
-    )
+    status = messages.by_topic.get(OBEYED)
+    data = replace(data, command=_commanded_forces(data, status, clock))
+    stamps = np.zeros(clock.ticks, dtype=np.int64)
+    stamps[clock.rows] = clock.stamps
+    states = _told_contact_states(status, clock, controller.contact_names)
     begin = 0
     end = clock.ticks
     if answered:
@@ -423,6 +440,9 @@ def align_messages(
         remarks=_collect_remarks(messages, data),
         start=int(clock.stamps[0]) + round(begin / data.rate * 1e9),
         missing=_missing_stretches(messages, part),
+        stamps=stamps[begin:end],
+        contact_states=states[begin:end],
+        images=tuple(messages.images),
     )
 
 
@@ -470,10 +490,7 @@ def _commanded_forces(
     command = data.alpha_des.copy()
     if status is None:
         return command
-    # A status holds from the next sample on that is published; behind the last one is a row more.
-    order = np.argsort(clock.published)
-    places = np.searchsorted(clock.published[order], status.published)
-    begins = np.append(clock.rows[order], data.ticks)[places]
+    begins = clock.find_rows_after(status.published)
     obeyed = status.values('effort', data.contact_names)
     for column, name in enumerate(data.contact_names):
         forces = obeyed[:, column]
@@ -486,6 +503,43 @@ def _commanded_forces(
     return command
 
 
+def hold_until_next(
+    ticks: int,
+    begins: NDArray[np.int64],
+    values: Vector,
+    *,
+    before: float = math.nan,
+) -> Vector:
+    """
+    Return a series of values that each hold until the next one, shape (ticks,).
+
+    Each of `values` holds from its row in `begins` on, which may be `ticks`, behind the last one;
+    `before` holds until the first one.
+    """
+    told = np.full(ticks + 1, np.nan)
+    told[0] = before
+    told[begins] = values
+    telling_rows = np.where(np.isnan(told), 0, np.arange(ticks + 1))
+    return told[np.maximum.accumulate(telling_rows)][:-1]
+
+
+def _told_contact_states(
+    status: bag.BagColumns | None, clock: _SampleClock, contacts: Sequence[str]
+) -> Matrix:
+    """Return the states that `~/status` tells from the next sample on, shape (m, c)."""
+    states = np.full((clock.ticks, len(contacts)), np.nan)
+    if status is None:
+        return states
+    begins = clock.find_rows_after(status.published)
+    told = status.values('state', contacts)
+    for column in range(len(contacts)):
+        known = ~np.isnan(told[:, column])
+        states[:, column] = hold_until_next(
+            clock.ticks, begins[known], told[known, column]
+        )
+    return states
+
+
 def _force_from_contact_on(
     desired: Vector, begins: NDArray[np.int64], forces: Vector
 ) -> Vector:
@@ -495,12 +549,7 @@ def _force_from_contact_on(
     `desired` is what the controller aimed at, shape (m,) [N]; each of `forces` holds from the
     row in `begins` on. The contact is made where the controller first aims at the whole force.
     """
-    ticks = len(desired)
-    told = np.full(ticks + 1, np.nan)
-    told[0] = 0.0
-    told[begins] = forces
-    telling_rows = np.where(np.isnan(told), 0, np.arange(ticks + 1))
-    asked = told[np.maximum.accumulate(telling_rows)][:-1]
+    asked = hold_until_next(len(desired), begins, forces, before=0.0)
     for begin, end in find_true_stretches(asked > 0.0):
         reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
         if reached.size:

@@ -1,0 +1,1 @@
+"""Force for learning: recordings as datasets."""
