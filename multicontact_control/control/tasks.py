@@ -489,3 +489,20 @@ class CommandedTask:
                 self._alpha_des,
             )
         return self._task
+
+
+class SteeredTask(CommandedTask):
+    """
+    A commanded task whose pose goes on with its twist, for commands that come slowly.
+
+    A commanded motion is that of the next tick; its twist carries the pose on from there, as long
+    as it counts.
+    """
+
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
+        """Return the task, carried on since the tick before; see `TaskSource.task_at`."""
+        moves = self._twist is not ZERO_TWIST and time <= self._until
+        if moves and self.pose is not None:
+            self.pose = self.pose.moved_by((time - self._time) * self._twist)
+            self._task = None
+        return super().task_at(time, alpha_meas)
