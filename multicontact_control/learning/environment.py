@@ -28,6 +28,7 @@ from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from numpy.typing import NDArray
+from sim_bridge.surface import SURFACE
 
 LONGEST_SETTLING = 5.0  # s, in which the contacts are made before an episode begins
 
@@ -106,10 +107,11 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         self._forces: deque[Vector] = deque(maxlen=self.config.window)
         self._forces.extend([np.zeros(len(controller.columns))] * self.config.window)
         self._ended = ''
-        self._refused = ''
+        # It keeps its place in memory as long as the plant is not reset.
+        self._surfaces = np.asarray(loop.plant.contacts.surfaces)
         self._press_contacts(loop)
         self._plan_episode(loop)
-        self._action: Action = np.zeros(self.action_space.shape or (), np.float32)
+        self._action: Vector = np.zeros(len(self.action_names))
         info = {**self._describe(loop), 'drawn': drawn}
         return self._observe(loop), info
 
@@ -168,17 +170,17 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
             raise ResetNeeded(f'the episode has ended ({self._ended}): call reset()')
         before = self._action
         clipped, refused = self._take_action(action)
-        wishes = self._layout.read_wishes(self._action.astype(float))
+        wishes = self._layout.read_wishes(self._action)
         left_out = self._command(loop, wishes, refused)
         forces = np.zeros((self._ticks, len(self._targets[0])))
-        loads = np.zeros(self._ticks)
+        surfaces = np.zeros((self._ticks, len(self._surfaces)), dtype=SURFACE)
         limits: set[str] = set()
         rejected: set[str] = set()
         ticks = 0
         for tick in range(self._ticks):
             self._advance(loop)
             forces[tick] = loop.sample.contact_force
-            loads[tick] = _sideways_load(loop)
+            surfaces[tick] = self._surfaces
             status = loop.status
             limits.update(status.limits)
             rejected.update(status.rejected)
@@ -194,7 +196,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         done = EpisodeStep(
             forces[:ticks],
             self._targets[self._step],
-            loads[:ticks],
+            _sideways_loads(surfaces[:ticks]),
             self._path_error(loop),
             self._action,
             before,
@@ -215,7 +217,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
 
     def _take_action(self, action: Action) -> tuple[bool, list[str]]:
         """Take a new action; return whether it was clipped, and why it was refused."""
-        numbers = np.asarray(action, dtype=np.float32)
+        numbers = np.asarray(action, dtype=float)
         require_shape('action', numbers, self._action.shape)
         if not np.isfinite(numbers).all():
             return False, [f'action: expected finite numbers, got {numbers.tolist()}']
@@ -260,22 +262,20 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
 
     def _advance(self, loop: ClosedLoop) -> None:
         """Take a tick, and keep its measured forces."""
-        output = loop.advance()
-        self._forces.append(output.contacts['alpha_meas'].copy())
+        self._output = loop.advance()
+        self._forces.append(self._output.contacts['alpha_meas'].copy())
 
     def _path_error(self, loop: ClosedLoop) -> Vector:
         """Return the way to the scenario's path, without what contacts place, (3,) [m]."""
         reference = loop.control.supervisor.task.reference_pose()
-        output = loop.control.output
-        if output is None:
-            return self._path[self._step] - reference.position_world
+        output = self._output
         deviation = output.pose.position_world - output.pose_des.position_world
         return self._path[self._step] - reference.position_world - deviation
 
     def _observe(self, loop: ClosedLoop) -> Observation:
         return observe(
             self._space,
-            loop.control.output,
+            self._output,
             loop.status.contact_states,
             self._targets[self._step],
             self._path_error(loop),
@@ -320,9 +320,9 @@ def _displacements(motion: PlannedMotion, times: Vector, start_time: float) -> M
     return moved
 
 
-def _sideways_load(loop: ClosedLoop) -> float:
-    """Return the sum of the friction forces on all surfaces [N]."""
-    surfaces = loop.plant.contacts.surfaces
-    forces = surfaces['force']
-    pressed = surfaces['alpha'][:, np.newaxis] * surfaces['facing']
-    return float(np.linalg.norm(forces - pressed, axis=1).sum())
+def _sideways_loads(surfaces: NDArray[np.void]) -> Vector:
+    """Return the sums of the friction forces on surfaces, records of shape (n, no) [N]."""
+    pressed = surfaces['alpha'][..., np.newaxis] * surfaces['facing']
+    friction = np.linalg.norm(surfaces['force'] - pressed, axis=-1)
+    loads: Vector = friction.sum(axis=-1)
+    return loads

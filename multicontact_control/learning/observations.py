@@ -107,7 +107,8 @@ def observe(
     observation: Observation = {}
     for name, box in space.items():
         if isinstance(box, spaces.Box):
-            observation[name] = np.clip(values[name], box.low, box.high)
+            bounded = np.clip(values[name], box.low, box.high)
+            observation[name] = bounded.astype(box.dtype)
         else:
             numbers = [STATE_NAMES.index(state) for state in states]
             observation[name] = np.array(numbers, dtype=np.int64)

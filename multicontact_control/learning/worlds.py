@@ -9,6 +9,7 @@ from multicontact_control.learning.config import EnvironmentConfig
 from multicontact_control.runs.overrides import lay_values_over
 from multicontact_control.runs.scenario import resolve, Setup
 import numpy as np
+from sim_bridge.config import ActuationConfig
 
 LARGEST_SEED = 10**9
 ACTUATION_SEED = 'plant.actuation.seed'
@@ -41,7 +42,7 @@ class Worlds:
         if 'stiffness' in config.actions:
             # Each change would blend anew, and the torque never get there.
             self._settings.setdefault('controller.transition.blend_time', 0.0)
-        self._arguments = {
+        self._arguments: dict[str, Any] = {
             'scenario': config.scenario,
             'robot': config.robot,
             'plant': config.plant,
@@ -49,9 +50,12 @@ class Worlds:
         }
         self._named: Setup = resolve(**self._arguments)
         self.mean = self._resolve(self._settings, 'settings.')
+        self._drives_err = self.mean.plant.actuation != ActuationConfig()
         for place in (0, 1):  # a bound that no world can have is found now
             bounds = {name: both[place] for name, both in config.randomise.items()}
-            self._resolve({**self._settings, **bounds}, 'randomise.')
+            bound = self._resolve({**self._settings, **bounds}, 'randomise.')
+            if bound.plant.actuation != ActuationConfig():
+                self._drives_err = True
 
     def _resolve(self, values: dict[str, Any], field: str, seed: int = 0) -> Setup:
         arguments = {**self._arguments, 'seed': seed}
@@ -64,7 +68,9 @@ class Worlds:
         Also drawn are the seeds of noise, roughness and errors of the drives.
         """
         seed, actuation_seed = random.integers(LARGEST_SEED, size=2).tolist()
-        drawn: dict[str, Any] = {ACTUATION_SEED: actuation_seed}
+        drawn: dict[str, Any] = {}
+        if self._drives_err:
+            drawn[ACTUATION_SEED] = actuation_seed
         for name, (lower, upper) in self._config.randomise.items():
             drawn[name] = random.uniform(lower, upper).tolist()
         if self._config.tilt:
