@@ -28,6 +28,7 @@ from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from numpy.typing import NDArray
+from sim_bridge.picture import Image, take_picture
 from sim_bridge.surface import SURFACE
 
 LONGEST_SETTLING = 5.0  # s, in which the contacts are made before an episode begins
@@ -293,6 +294,12 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
             'contact_states': status.contact_states,
             'ended': self._ended,
         }
+
+    def render(self) -> Image | None:  # type: ignore[override]
+        """Return a picture of the arm and its surfaces, (360, 480, 3), by the plant's engine."""
+        if self.render_mode is None or self.loop is None:
+            return None
+        return take_picture(self.loop.plant)
 
     def close(self) -> None:
         """Give the simulator's memory back."""
