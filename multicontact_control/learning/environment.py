@@ -295,7 +295,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
             'ended': self._ended,
         }
 
-    def render(self) -> Image | None:  # type: ignore[override]
+    def render(self) -> Image | None:
         """Return a picture of the arm and its surfaces, (360, 480, 3), by the plant's engine."""
         if self.render_mode is None or self.loop is None:
             return None

@@ -72,7 +72,7 @@ class Worlds:
         if self._drives_err:
             drawn[ACTUATION_SEED] = actuation_seed
         for name, (lower, upper) in self._config.randomise.items():
-            drawn[name] = random.uniform(lower, upper).tolist()
+            drawn[name] = np.asarray(random.uniform(lower, upper)).tolist()
         if self._config.tilt:
             for name in self.mean.plant.touched:
                 normal = np.array(self.mean.plant.surfaces[name].normal_world)
