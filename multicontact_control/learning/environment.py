@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium
@@ -238,19 +240,17 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
             way = self._path[self._step + 1] - self._path[self._step]
             twist[:3] = way * self.config.rate
         left_out = ''
-        try:
+        with _listing_refusal(refused):
             control.set_forces(forces, wishes.centres)
-        except CommandError as error:
-            refused.append(str(error))
-        try:
+        with _listing_refusal(refused):
             left_out = control.set_motion(self._next_motion(loop, twist))
-        except CommandError as error:
-            refused.append(str(error))
         if wishes.natural_frequency is not None:
             motion = control.config.motion.model_copy(
                 update={'natural_frequency': wishes.natural_frequency}
             )
-            control.reconfigure(control.config.model_copy(update={'motion': motion}))
+            config = control.config.model_copy(update={'motion': motion})
+            with _listing_refusal(refused):  # also where the posture allows no change
+                control.reconfigure(config)
         return left_out
 
     def _next_motion(self, loop: ClosedLoop, twist: Vector) -> MotionReading:
@@ -306,6 +306,15 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         if self.loop is not None:
             self.loop.close()
             self.loop = None
+
+
+@contextmanager
+def _listing_refusal(refused: list[str]) -> Iterator[None]:
+    """Add to a list why a command is refused, which then has no effect."""
+    try:
+        yield
+    except (CommandError, ConfigError) as error:
+        refused.append(str(error))
 
 
 def _count_ticks(rate: float, control_rate: float) -> int:
