@@ -13,7 +13,8 @@ from gymnasium.error import ResetNeeded
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import validate
 from multicontact_control.control.motions import plan_motion, PlannedMotion
-from multicontact_control.control.tasks import MotionReading, SteeredTask, ZERO_TWIST
+from multicontact_control.control.tasks import MotionReading, SteeredTask
+from multicontact_control.control.trajectory_checks import check_position
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.learning.actions import ActionLayout, Wishes
 from multicontact_control.learning.config import EnvironmentConfig
@@ -33,6 +34,7 @@ from numpy.typing import NDArray
 from sim_bridge.picture import Image, take_picture
 from sim_bridge.surface import SURFACE
 
+RAMP_SHARE = 0.1  # of the largest acceleration, by which a twist changes
 LONGEST_SETTLING = 5.0  # s, in which the contacts are made before an episode begins
 
 Action = NDArray[np.float32]
@@ -114,6 +116,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         self._surfaces = np.asarray(loop.plant.contacts.surfaces)
         self._press_contacts(loop)
         self._plan_episode(loop)
+        self._twist = np.zeros(6)  # at the end of the step [m/s, rad/s]
         self._action: Vector = np.zeros(len(self.action_names))
         info = {**self._describe(loop), 'drawn': drawn}
         return self._observe(loop), info
@@ -243,7 +246,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         with _listing_refusal(refused):
             control.set_forces(forces, wishes.centres)
         with _listing_refusal(refused):
-            left_out = control.set_motion(self._next_motion(loop, twist))
+            left_out = control.set_motion(self._next_motion(loop, twist, refused))
         if wishes.natural_frequency is not None:
             motion = control.config.motion.model_copy(
                 update={'natural_frequency': wishes.natural_frequency}
@@ -253,12 +256,43 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
                 control.reconfigure(config)
         return left_out
 
-    def _next_motion(self, loop: ClosedLoop, twist: Vector) -> MotionReading:
-        """Return the motion with a twist from where the reference is, at the next tick."""
+    def _next_motion(
+        self, loop: ClosedLoop, wanted: Vector, refused: list[str]
+    ) -> MotionReading:
+        """
+        Return the motion at the next tick, which goes over to a wanted twist within the step.
+
+        It goes there no faster than a tenth of the largest acceleration, and stops, with the cause
+        in `refused`, before it would leave the workspace.
+        """
+        limits = loop.setup.controller.limits
         period = loop.setup.controller.period
-        pose = loop.control.supervisor.task.reference_pose().moved_by(period * twist)
+        length = self._ticks * period
+        linear = RAMP_SHARE * limits.operational_acceleration
+        angular = RAMP_SHARE * limits.operational_turn_acceleration
+        pose = loop.control.supervisor.task.reference_pose()
+        wanted = np.concatenate(
+            [
+                _shorten(wanted[:3], limits.operational_speed),
+                _shorten(wanted[3:], limits.operational_turn),
+            ]
+        )
+        speed = float(np.linalg.norm(wanted[:3]))
+        way = (length + 0.5 * speed / linear) * wanted[:3]
+        try:
+            check_position(pose.position_world + way, limits)
+        except CommandError as error:
+            refused.append(str(error))
+            wanted = np.zeros(6)
+        change = (wanted - self._twist) / length
+        acceleration = np.concatenate(
+            [_shorten(change[:3], linear), _shorten(change[3:], angular)]
+        )
+        next_twist = self._twist + period * acceleration
+        self._twist = self._twist + length * acceleration
+        pose = pose.moved_by(period * next_twist)
         return MotionReading(
-            pose.position_world, pose.quaternion_xyzw, twist, ZERO_TWIST
+            pose.position_world, pose.quaternion_xyzw, next_twist, acceleration
         )
 
     def _advance(self, loop: ClosedLoop) -> None:
@@ -315,6 +349,11 @@ def _listing_refusal(refused: list[str]) -> Iterator[None]:
         yield
     except (CommandError, ConfigError) as error:
         refused.append(str(error))
+
+
+def _shorten(vector: Vector, largest: float) -> Vector:
+    """Return a vector, made as short as `largest` if it is longer."""
+    return vector * (largest / max(float(np.linalg.norm(vector)), largest))
 
 
 def _count_ticks(rate: float, control_rate: float) -> int:
