@@ -84,6 +84,10 @@ extras_require = {
     'dask': [
         'distributed>=2024.8,<2028',
     ],
+    # To learn on it: `multicontact_control.learning`.
+    'learning': [
+        'gymnasium>=1.0,<2',
+    ],
     # To see and steer it in the browser: `multicontact view`; viser listens by websockets.
     'view': [
         'viser>=1.1,<1.2',

@@ -25,6 +25,7 @@ from multicontact_control.cli.options import describe_files
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
 from multicontact_control.config.base import list_kinds
 from multicontact_control.faults.situation import SituationConfig
+from multicontact_control.learning.config import EnvironmentConfig
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_node import ControllerNodeConfig
 from multicontact_control.nodes.controller_topics import SERVICES
@@ -59,6 +60,7 @@ FILES: dict[str, tuple[str, type[Config]]] = {
     'robot': ('`config/robots`, and `--robot FILE`', RobotFile),
     'study': ('`config/studies`, and `multicontact study FILE`', StudyConfig),
     'situation': ('`situation.*` of `config/studies/situations.yaml`', SituationConfig),
+    'environment': ('`gymnasium.make`, `docs/learning.md`', EnvironmentConfig),
 }
 TYPES = {bool: 'bool', int: 'int', float: 'float', str: 'string', Any: 'any'}
 VALUES = {bool: '', int: 'INTEGER', float: 'NUMBER', str: 'TEXT', Path: 'PATH'}

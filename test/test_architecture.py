@@ -71,7 +71,7 @@ BUDGETS = {
     'faults': 12_200,
     'study': 20_200,
     'view': 20_580,
-    'learning': 3_520,
+    'learning': 6_520,
     'cli': 7_750,
     'sim_bridge': 30_400,
     'test': 191_000,

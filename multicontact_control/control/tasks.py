@@ -489,3 +489,23 @@ class CommandedTask:
                 self._alpha_des,
             )
         return self._task
+
+
+class SteeredTask(CommandedTask):
+    """
+    A commanded task whose pose goes on with its twist, for commands that come slowly.
+
+    A commanded motion is that of the next tick; its twist and acceleration carry it on from there,
+    as long as they count.
+    """
+
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
+        """Return the task, carried on since the tick before; see `TaskSource.task_at`."""
+        moves = self._twist is not ZERO_TWIST and time <= self._until
+        if moves and self.pose is not None:
+            elapsed = time - self._time
+            change = elapsed * self._acceleration
+            self.pose = self.pose.moved_by(elapsed * (self._twist + 0.5 * change))
+            self._twist = self._twist + change
+            self._task = None
+        return super().task_at(time, alpha_meas)

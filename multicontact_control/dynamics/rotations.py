@@ -124,6 +124,14 @@ class Pose(NamedTuple):
         turn = Rotation.from_matrix(goal.rotation_world @ self.rotation_world.T)
         return np.concatenate([displacement, turn.as_rotvec()])
 
+    def moved_by(self, displacement: Vector) -> Pose:
+        """Return the pose after a displacement and a rotation vector, (6,) [m, rad]."""
+        position = self.position_world + displacement[:3]
+        if not displacement[3:].any():
+            return Pose(position, self.rotation_world)
+        turn = Rotation.from_rotvec(displacement[3:]).as_matrix()
+        return Pose(position, turn @ self.rotation_world)
+
     @classmethod
     def from_quaternion(cls, position_world: Vector, quaternion_xyzw: Vector) -> Pose:
         """

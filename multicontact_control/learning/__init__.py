@@ -1,1 +1,1 @@
-"""Force for learning: recordings as datasets."""
+"""Force for robot learning: an environment to learn in, and recordings as datasets."""

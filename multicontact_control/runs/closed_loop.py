@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control.tasks import TaskSource
 from multicontact_control.errors import (
     ContactGeometryError,
     RunError,
@@ -50,7 +51,7 @@ class ClosedLoop:
     The controller at tick k works with the R of tick k - 1, and its command acts on the plant
     from k + actuator delay on, as in the graph. If `supervised`, contact states, watchdogs and
     limits are around the control law; if `commanded`, `control` obeys commands instead of the
-    scenario.
+    scenario, and with a `source` it does what that wants.
     """
 
     def __init__(
@@ -59,13 +60,15 @@ class ClosedLoop:
         *,
         supervised: bool = True,
         commanded: bool = False,
+        source: TaskSource | None = None,
     ) -> None:
         self.setup = setup
         config = setup.controller
-        reference = None if commanded else setup.reference()
+        if source is None and not commanded:
+            source = setup.reference()
         self.control = ControlLoop(
             config,
-            reference,
+            source,
             CommandLimits(),
             setup.urdf_dir,
             supervised=supervised,

@@ -265,9 +265,24 @@ def resolve_with(
     of_nodes: dict[str, dict[str, Any]] = {}
     if nodes:
         values, of_nodes = split_off_nodes(values, setup)
-    overridden = dict(arguments)
-    for section, nested in nest_overrides(values, setup, '--set ').items():
-        overridden[ARGUMENTS[section]] = nested
-    # The names above are those of the first setup; the values may lead to another one.
-    result = resolver(**overridden)
+    result = lay_values_over(resolver, arguments, values, setup, '--set ')
     return replace(result, nodes=merge(result.nodes, of_nodes))
+
+
+def lay_values_over(
+    resolver: Callable[..., Setup],
+    arguments: Mapping[str, Any],
+    values: Mapping[str, Any],
+    setup: Setup,
+    field: str,
+) -> Setup:
+    """
+    Return what a resolver makes of its arguments with values, by dotted names, over its files.
+
+    The names are those of `setup`, which it makes of the arguments alone; the values may lead to
+    another one. ConfigError as of `nest_overrides` and of the resolver.
+    """
+    overridden = dict(arguments)
+    for section, nested in nest_overrides(values, setup, field).items():
+        overridden[ARGUMENTS[section]] = nested
+    return resolver(**overridden)
