@@ -127,8 +127,7 @@ def test_own_study_finds_the_hasty_loop_faster(load_example, tmp_path, capsys):
 @pytest.mark.nightly
 def test_learnt_policy_wipes_better_than_any_constant_force(tmp_path):
     picture = tmp_path / 'curve.png'
-    environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
-    process = start_python(FOLDER / 'learn_to_wipe.py', picture, env=environment)
+    process = start_python(FOLDER / 'learn_to_wipe.py', picture)
     output, errors = process.communicate(timeout=3600)
     assert process.returncode == 0, errors
     rows = read_rows(re.sub('[:,]', '', output).replace('worst', ''))
