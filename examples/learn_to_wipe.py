@@ -66,14 +66,12 @@ def main(picture: Path, generations: int = 8, held_out: range = HELD_OUT) -> Non
         best = policies[np.argsort(rewards)[-BEST:]]
         mean, spread = best.mean(axis=0), best.std(axis=0) + 0.02
         curve.append([np.median(rewards), rewards.max()])
-    constants = score(np.outer(CONSTANTS, [1, 0, 0, 0, 0]), held_out)
-    constant = constants[constants.mean(axis=1).argmax()]
+    constant = max(score(np.outer(CONSTANTS, [1, 0, 0, 0, 0]), held_out), key=np.mean)
     found = {'constant': constant, 'policy': score(mean[np.newaxis], held_out)}
     for name, rewards in found.items():
         print(f'{name}: mean {rewards.mean():.3f}, worst {rewards.min():.3f}')
-    plt.plot(curve, label=['median reward of a generation', 'best of it'])
+    plt.plot(curve, label=['median of a generation', 'best of it'])
     plt.axhline(constant.mean(), color='black', label='best constant, held-out worlds')
-    plt.xlabel('generation')
     plt.legend()
     plt.savefig(picture)
 

@@ -124,6 +124,19 @@ def test_own_study_finds_the_hasty_loop_faster(load_example, tmp_path, capsys):
     assert 'rise_s' in capsys.readouterr().out
 
 
+@pytest.mark.nightly
+def test_learnt_policy_wipes_better_than_any_constant_force(tmp_path):
+    picture = tmp_path / 'curve.png'
+    process = start_python(FOLDER / 'learn_to_wipe.py', picture)
+    output, errors = process.communicate(timeout=3600)
+    assert process.returncode == 0, errors
+    rows = read_rows(re.sub('[:,]', '', output).replace('worst', ''))
+    constant = rows['constant', 'mean']
+    policy = rows['policy', 'mean']
+    assert policy[0] > constant[0] and policy[1] > constant[1]
+    assert picture.read_bytes().startswith(b'\x89PNG')
+
+
 @pytest.mark.slow
 def test_run_is_read_and_drawn(load_example, tmp_path, capsys):
     summary = simulate_run(resolve('quick', preset='best', duration=11.0), tmp_path)
