@@ -194,7 +194,12 @@ setup(
     python_requires='>=3.10',
     packages=find_packages(exclude=['test*', 'benchmarks*']),
     package_data={
-        package_name: ['py.typed', 'judging/page_assets/*', 'view/page_assets/*']
+        package_name: [
+            'py.typed',
+            'export/files/*',
+            'judging/page_assets/*',
+            'view/page_assets/*',
+        ]
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),

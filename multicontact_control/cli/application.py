@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from multicontact_control import __version__
 from multicontact_control.cli import options
 from multicontact_control.cli.design import design
+from multicontact_control.cli.export import export
 from multicontact_control.cli.follow import follow
 from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.robot import calibrate, new_robot, push_test
@@ -47,8 +48,17 @@ COMMANDS = (
     push_test,
     new_robot,
     design,
+    export,
 )
-WITH_ARGUMENTS = (follow, report, study, identify, new_robot, design)  # at least one
+WITH_ARGUMENTS = (
+    follow,
+    report,
+    study,
+    identify,
+    new_robot,
+    design,
+    export,
+)  # at least one
 
 app = typer.Typer(
     pretty_exceptions_enable=False,

@@ -157,7 +157,7 @@ class Inputs:
         joints, contacts = controller.arm.joints, controller.contacts
         joint_count = len(joints)
         stage = make_input_stage(config, controller.robot.turning, guarded=guarded)
-        self._stage = stage
+        self.stage = stage
         self._initial_stage = stage.copy()
         self._initial_variance = config.initial_noise_variance
         self._by_momentum = config.wrench_input == 'momentum'
@@ -197,7 +197,7 @@ class Inputs:
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
-        self._stage[:] = self._initial_stage
+        self.stage[:] = self._initial_stage
         self._variance[:] = self._initial_variance
         for name in ('residual', 'dynamic_threshold', 'effort_uncertainty'):
             self._joints['watch'][name] = 0
@@ -338,7 +338,7 @@ class Inputs:
 
     def _wrench_of_torques(self, joints: JointInput | None) -> WrenchInput | None:
         """Return the wrench that the momentum observer finds; it takes some samples to begin."""
-        settings: InputSettings = self._stage['settings'][0]
+        settings: InputSettings = self.stage['settings'][0]
         if joints is None or self._state['unknown'] > settings['commands'] + 1:
             return None
         return WrenchInput(joints.stamp, self._wrench)

@@ -123,6 +123,7 @@ class Supervisor:
             gates=self.gate.records,
             workspaces=np.zeros(1, dtype=WORKSPACE),
         )
+        self.records = records
         self._records = records[:]  # a plain tuple, as `tick` takes it
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']

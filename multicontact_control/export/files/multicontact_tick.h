@@ -1,0 +1,94 @@
+/* One tick of multicontact_control: what came in is checked, the arm is seen, the task is limited,
+   the law answers, and the torque passes the gate.
+
+   Written by `multicontact export` for one configuration, whose forces and couples are, in the
+   order of `contacts`: @COLUMNS@.
+
+   A cycle:
+
+       write controller.inputs[0].sample        what came in, with its stamps
+       mc_take(&controller)                     false: a reading is not as it should be
+       write controller.terms                   the arm's model at controller.motion
+       write controller.controls[0].wanted and contacts[i].wanted, alpha_wanted
+       mc_tick(&controller)                     flags, MC_* below
+       command joints[j].gate.commanded_torque  less joints[j].drive_gravity_torque
+
+   No call allocates, locks, waits or enters the operating system. A controller is used by one
+   thread at a time; several controllers are independent of each other. All units are SI, all
+   vectors in world axes unless their names say otherwise. */
+#ifndef MULTICONTACT_TICK_H
+#define MULTICONTACT_TICK_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef __cplusplus
+#define MC_ASSERT(condition, text) static_assert(condition, text)
+extern "C" {
+#else
+#define MC_ASSERT(condition, text) _Static_assert(condition, text)
+#endif
+
+/* Of names, types and places of all fields: library, header and records have the same. */
+#define MC_LAYOUT UINT64_C(@LAYOUT@)
+
+@CONSTANTS@
+
+@STRUCTS@
+
+/* What `multicontact_records.bin` holds: a controller as configured, before its first sample. */
+typedef struct {
+    char magic[8]; /* MC_MAGIC, without the 0 at its end */
+    uint64_t layout; /* MC_LAYOUT */
+    uint64_t size; /* of the controller [bytes] */
+    mc_controller controller;
+} mc_records;
+#define MC_MAGIC "MCTICK01"
+
+/* MC_LAYOUT of the library. */
+extern const uint64_t mc_library_layout;
+
+/* Check the newest sample, and hand over what of it is valid: positions and velocities to
+   `motion`. Returns 1 if all is well; `inputs[0].found` says what is not. */
+int64_t mc_take(mc_controller *controller);
+
+/* Answer the sample taken last; returns flags. */
+int64_t mc_tick(mc_controller *controller);
+
+/* Why mc_configure refuses records. */
+#define MC_WRONG_SIZE 1 /* they are no records, or cut short */
+#define MC_WRONG_LAYOUT 2 /* of another configuration or version than header or library */
+
+/* Make a controller of the content of a file of records, `size` bytes; returns 0, or why not. */
+static inline int mc_configure(mc_controller *controller, const void *content, size_t size)
+{
+    mc_records head;
+    const size_t before = offsetof(mc_records, controller);
+    if (size != sizeof(mc_records)) {
+        return MC_WRONG_SIZE;
+    }
+    memcpy(&head, content, before);
+    if (memcmp(head.magic, MC_MAGIC, sizeof head.magic) != 0 || head.size != sizeof(mc_controller)) {
+        return MC_WRONG_SIZE;
+    }
+    if (head.layout != MC_LAYOUT || mc_library_layout != MC_LAYOUT) {
+        return MC_WRONG_LAYOUT;
+    }
+    memcpy(controller, (const char *)content + before, sizeof(mc_controller));
+    return 0;
+}
+
+/* Forget all that was measured and commanded: the next sample is the first. `content` has been
+   accepted by mc_configure. */
+static inline void mc_reset(mc_controller *controller, const void *content)
+{
+    memcpy(controller, (const char *)content + offsetof(mc_records, controller), sizeof(mc_controller));
+}
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,82 @@
+/* Replay what a controller in Python was given, and compare what becomes of it, byte for byte.
+
+   `replay RECORDS < calls`: each call has a `head`, the writes that come before it, each an offset,
+   a size and bytes, and, if it is compared, all bytes of the controller after it. */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "multicontact_tick.h"
+
+typedef int64_t entry(mc_controller *);
+static entry *const entries[] = {mc_take, mc_tick};
+
+typedef struct {
+    int64_t entry;
+    int64_t writes;
+    int64_t result;
+    int64_t compared;
+} head;
+
+static mc_controller controller, expected;
+
+static void take(void *place, size_t size)
+{
+    if (fread(place, 1, size, stdin) != size) {
+        fprintf(stderr, "the calls end within one\n");
+        exit(2);
+    }
+}
+
+static void configure(const char *path)
+{
+    static char content[sizeof(mc_records) + 1];
+    FILE *file = fopen(path, "rb");
+    if (file == NULL) {
+        perror(path);
+        exit(2);
+    }
+    size_t size = fread(content, 1, sizeof content, file);
+    fclose(file);
+    int refused = mc_configure(&controller, content, size);
+    if (refused) {
+        fprintf(stderr, "records refused: %d\n", refused);
+        exit(2);
+    }
+}
+
+int main(int count, char **arguments)
+{
+    if (count != 2) {
+        return 2;
+    }
+    configure(arguments[1]);
+    long calls = 0;
+    for (head call; fread(&call, sizeof call, 1, stdin) == 1; calls++) {
+        for (int64_t i = 0; i < call.writes; i++) {
+            int64_t part[2]; /* offset, size */
+            take(part, sizeof part);
+            take((char *)&controller + part[0], (size_t)part[1]);
+        }
+        int64_t result = entries[call.entry](&controller);
+        if (result != call.result) {
+            printf("%ld result %ld instead of %ld\n", calls, (long)result, (long)call.result);
+            return 1;
+        }
+        if (!call.compared) {
+            continue;
+        }
+        take(&expected, sizeof expected);
+        if (memcmp(&controller, &expected, sizeof expected) == 0) {
+            continue;
+        }
+        const char *found = (const char *)&controller, *right = (const char *)&expected;
+        size_t i = 0;
+        while (found[i] == right[i]) {
+            i++;
+        }
+        printf("%ld byte %zu\n", calls, i);
+        return 1;
+    }
+    printf("%ld equal\n", calls);
+    return 0;
+}
