@@ -1,31 +1,85 @@
 """
-What C calls: one function for each step of a controller, of a pointer to its memory.
+What C calls: one function for each step of a controller, and for each command.
 
-They are compiled by `objects`, for that memory, and call the kernels that run in Python.
+Each takes a pointer to the memory, see `memory`, and whole numbers. `objects` compiles them; they
+call the kernels that run in Python. The first lines of their docstrings are in the header.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from multicontact_control.supervision.contact_task import hold_task, lock_task
+from multicontact_control.supervision.decisions import retry, stop_control
+from multicontact_control.supervision.gate import start_blend, update_added_torque
 from multicontact_control.supervision.input_checks import check_inputs
-from multicontact_control.tick import ACT, SEE, tick
+from multicontact_control.supervision.tick_records import TickRecords
+from multicontact_control.tick import ACT, answer_error, SEE, tick
 from numba import carray
+from numba.extending import register_jitable
 import numpy as np
 
-STAGES = SEE | ACT
+
+@register_jitable
+def get_records(memory: Any) -> Any:
+    """Return the fields of `TickRecords` of the memory in a plain tuple."""
+    return (
+        memory.joints[:],
+        memory.controls[:],
+        memory.contacts[:],
+        memory.laws[:],
+        memory.fresh_laws[:],
+        memory.states[:],
+        memory.stages[:],
+        memory.supervisions[:],
+        memory.limits[:],
+        memory.judgements[:],
+        memory.gates[:],
+        memory.workspaces[:],
+    )
 
 
-def take(pointer: Any) -> bool:
+@register_jitable
+def get_terms(memory: Any) -> Any:
+    """Return the fields of `ModelTerms` of the memory in a plain tuple, laid out as by Python."""
+    terms = memory.terms
+    return (
+        terms.mass_matrix[:].T,
+        terms.bias_torque[:],
+        terms.gravity[:],
+        terms.jacobian[:],
+        terms.jacobian_rate[:],
+        terms.position[:],
+        terms.rotation[:].T,
+        terms.sensor_position[:],
+        terms.sensor_rotation[:].T,
+    )
+
+
+@register_jitable
+def run_stages(memory: Any, stages: Any) -> Any:
+    """Run stages of a tick; return what was found."""
+    return tick(stages, get_records(memory), memory.motion[:], get_terms(memory))
+
+
+@register_jitable
+def take_added_torque(memory: Any) -> None:
+    """Take in what the drives add to a command, if they add anything and the arm is known."""
+    stage = memory.stages[0]
+    if stage.settings.adds_gravity and stage.state.known:
+        update_added_torque(memory.joints[:], memory.added[:])
+
+
+def take(pointer: Any) -> Any:
     """
-    Check what has come in and hand over what is valid; return whether all is well.
+    Check what has come in, `stages[0].sample`; return 1 if all is well.
 
-    Before it, fill in `inputs[0].sample`; after it, compute the terms of the model at `motion`.
+    What of it is valid goes to `motion`, at which the terms of the model are due then.
     """
     memory = carray(pointer, 1)[0]
     motion = memory.motion[:]
     return check_inputs(
-        memory.inputs[:],
+        memory.stages[:],
         motion[0],
         motion[1],
         memory.joints[:],
@@ -34,36 +88,85 @@ def take(pointer: Any) -> bool:
     )
 
 
-def step(pointer: Any) -> int:
-    """Answer what was taken; return what was found, the sum of flags."""
+def see(pointer: Any) -> Any:
+    """See the arm, and decide what answers, `supervisions[0].reaction`; return flags."""
     memory = carray(pointer, 1)[0]
-    terms = memory.terms
-    stages: Any = np.int64(STAGES)  # no constant: numba has it compiled for any number
-    return tick(
-        stages,
-        (
-            memory.joints[:],
-            memory.controls[:],
-            memory.contacts[:],
-            memory.laws[:],
-            memory.states[:],
-            memory.limits[:],
-            memory.judgements[:],
-            memory.gates[:],
-            memory.workspaces[:],
-        ),
-        memory.motion[:],
-        (
-            terms.mass_matrix[:].T,
-            terms.bias_torque[:],
-            terms.jacobian[:],
-            terms.jacobian_rate[:],
-            terms.position[:],
-            terms.rotation[:].T,
-            terms.sensor_position[:],
-            terms.sensor_rotation[:].T,
-        ),
+    take_added_torque(memory)
+    return run_stages(memory, np.int64(SEE))
+
+
+def act(pointer: Any) -> Any:
+    """Answer what was seen, by the law or by a reaction; return flags."""
+    memory = carray(pointer, 1)[0]
+    return run_stages(memory, np.int64(ACT))
+
+
+def see_and_act(pointer: Any) -> Any:
+    """See and act in one call; return flags."""
+    memory = carray(pointer, 1)[0]
+    take_added_torque(memory)
+    return run_stages(memory, np.int64(SEE | ACT))
+
+
+def fail(pointer: Any, cause: int) -> Any:
+    """
+    Answer instead of `mc_act` after a failure of the caller; return flags.
+
+    `cause` is `MC_LAW` if no task could be had, `MC_INTERNAL` for all else.
+    """
+    memory = carray(pointer, 1)[0]
+    return answer_error(cause, get_records(memory), get_terms(memory))
+
+
+def hold(pointer: Any, wanted: int) -> Any:
+    """Hold pose and forces as they are (1), or go on (0); meanwhile `wanted` is the library's."""
+    memory = carray(pointer, 1)[0]
+    start_blend(memory.gates[0])
+    hold_task(
+        memory.limits[0],
+        memory.controls[0],
+        memory.contacts[:],
+        memory.states[:],
+        wanted != 0,
     )
+    return 0
 
 
-ENTRIES = {'mc_take': take, 'mc_tick': step}
+def lock(pointer: Any, wanted: int) -> Any:
+    """Stay without contact (1), as during a push test, or go on (0)."""
+    memory = carray(pointer, 1)[0]
+    start_blend(memory.gates[0])
+    lock_task(
+        memory.limits[0],
+        memory.controls[0],
+        memory.contacts[:],
+        memory.states[:],
+        wanted != 0,
+    )
+    return 0
+
+
+def try_again(pointer: Any) -> Any:
+    """Resume control that is latched, seek contacts given up; return 1 if there was any."""
+    memory = carray(pointer, 1)[0]
+    return retry(TickRecords(*get_records(memory)))
+
+
+def stop(pointer: Any) -> Any:
+    """Answer by the declared safe behaviour from the next tick on, until `mc_reset`."""
+    memory = carray(pointer, 1)[0]
+    stop_control(TickRecords(*get_records(memory)))
+    return 0
+
+
+ENTRIES = {
+    'mc_take': take,
+    'mc_see': see,
+    'mc_act': act,
+    'mc_tick': see_and_act,
+    'mc_fail': fail,
+    'mc_hold': hold,
+    'mc_lock': lock,
+    'mc_retry': try_again,
+    'mc_stop': stop,
+}

@@ -11,13 +11,14 @@ from types import ModuleType
 from typing import get_type_hints
 
 from multicontact_control import flags
+from multicontact_control.export.entries import ENTRIES
 from multicontact_control.export.field_comments import (
     FieldComment,
     read_constant_comments,
     read_field_comments,
 )
 from multicontact_control.records import describe_field, record_dtype
-from multicontact_control.supervision import contacts, input_checks
+from multicontact_control.supervision import causes, contacts, input_checks
 import numpy as np
 
 FILES = Path(__file__).with_name('files')
@@ -41,6 +42,7 @@ READING_PROBLEMS = (
     'VELOCITY',
     'OUTLIER',
 )
+REACTIONS = ('TO_NONE', 'TO_INFLATE', 'TO_HOLD', 'TO_FLOAT', 'TO_DAMP', 'TO_SAFE')
 CONTACT_STATES = (
     'FREE',
     'APPROACHING',
@@ -74,6 +76,10 @@ def write_header(
     _add_struct(memory, structs)
     constants = [_define(name, value) for name, value in values.items()]
     constants += _define_constants(flags, _list_integers(flags))
+    constants += ['', '/* What answers a tick: `supervisions[0].reaction`. */']
+    constants += _define_constants(causes, REACTIONS)
+    constants += ['', '/* Why the law does not answer, or not as usual: bits of `supervisions[0].causes`. */']
+    constants += [_define(what.upper(), bit) for bit, what in causes.NAMES.items()]
     constants += ['', '/* What is wrong with a reading; what came of one: `*_came`. */']
     constants += _define_constants(input_checks, READING_PROBLEMS)
     constants += ['', '/* The state of a contact: `states[i].state`. */']
@@ -83,6 +89,7 @@ def write_header(
         'CONSTANTS': '\n'.join(constants),
         'STRUCTS': '\n\n'.join(structs.values()),
         'COLUMNS': ', '.join(names),
+        'CALLS': '\n\n'.join(map(_declare, ENTRIES)),
     }
     text = (FILES / 'multicontact_tick.h').read_text(encoding='utf-8')
     for name, part in parts.items():
@@ -94,6 +101,15 @@ def name_struct(record: type) -> str:
     """Return the name in C of a record."""
     words = re.sub(r'(?<=[a-z])(?=[A-Z])', '_', record.__name__)
     return f'mc_{words.lower()}'
+
+
+def _declare(name: str) -> str:
+    """Return the declaration of an entry, below what its docstring says."""
+    entry = ENTRIES[name]
+    _, *numbers = inspect.signature(entry).parameters
+    arguments = ''.join(f', int64_t {number}' for number in numbers)
+    declared = f'int64_t {name}(mc_controller *controller{arguments});'
+    return '\n'.join([*_comment(inspect.getdoc(entry) or '', ''), declared])
 
 
 def _list_integers(module: ModuleType) -> list[str]:

@@ -29,6 +29,8 @@ RECORDS = 'multicontact_records.bin'
 MODEL = 'model.txt'
 MAGIC = b'MCTICK01'
 EXAMPLES = ('CMakeLists.txt', 'control_loop.cpp', 'arm_model.hpp')
+LIBRARIES = (f'lib{NAME}.a', f'lib{NAME}.so')
+LEFT_BY_EXPORTS = {HEADER, RECORDS, MODEL, *EXAMPLES, *LIBRARIES, 'build'}
 
 
 def export_library(loop: ControlLoop, folder: Path, *, target: str = '') -> list[Path]:
@@ -49,15 +51,19 @@ def export_library(loop: ControlLoop, folder: Path, *, target: str = '') -> list
     Raises
     ------
     ConfigError
-        If LLVM does not know the target, or the folder holds something else than an export.
+        If LLVM does not know the target, or the folder holds what no export has left.
     RunError
         If `ar` or the C compiler of the target is missing, or fails.
 
     """
-    if folder.exists() and not (folder / HEADER).is_file():
-        raise ConfigError(
-            'DIR', 'a new folder, or that of an export', f'{folder}, which is neither'
-        )
+    if folder.exists():
+        foreign = {path.name for path in folder.iterdir()} - LEFT_BY_EXPORTS
+        if foreign:
+            raise ConfigError(
+                'DIR',
+                'a new folder, or that of an export',
+                f'{folder}, which holds {min(foreign)}',
+            )
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder.parent, prefix=f'.{folder.name}-') as beside:
         partial = Path(beside) / 'new'
@@ -113,8 +119,8 @@ def _link(code: bytes, folder: Path, target: str) -> None:
     with TemporaryDirectory() as place:
         compiled = Path(place) / f'{NAME}.o'
         compiled.write_bytes(code)
-        _call('ar', 'rcs', folder / f'lib{NAME}.a', compiled)
-        shared = folder / f'lib{NAME}.so'
+        archive, shared = (folder / name for name in LIBRARIES)
+        _call('ar', 'rcs', archive, compiled)
         _call(compiler, '-shared', '-o', shared, compiled, '-lm')
 
 

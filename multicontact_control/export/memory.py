@@ -9,8 +9,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.loop import ControlLoop
 from multicontact_control.records import Record, Records
-from multicontact_control.supervision.input_checks import InputStage
-from multicontact_control.tick import TickRecords
+from multicontact_control.supervision.tick_records import TickRecords
 import numpy as np
 
 
@@ -20,6 +19,7 @@ def make_terms_record(joint_count: int) -> type:
     fields = {
         'mass_matrix': Annotated[Matrix, n, n],
         'bias_torque': Annotated[Vector, n],
+        'gravity': Annotated[Vector, n],
         'jacobian': Annotated[Matrix, 6, n],
         'jacobian_rate': Annotated[Matrix, 6, n],
         'position': Annotated[Vector, 3],
@@ -34,11 +34,9 @@ class MemoryParts(Protocol):
     """
     All that a controller of this configuration works on.
 
-    The caller writes `inputs[0].sample`, `controls[0].wanted` and the wanted forces of the
-    contacts, and the terms of the model at the positions and velocities of `motion`.
+    The caller writes `stages[0].sample`, `terms` and `added` at the positions and velocities of
+    `motion`, and what is wanted: `controls[0].wanted`, `wanted` and `alpha_wanted` of `contacts`.
     """
-
-    inputs: InputStage
 
     # Positions [rad], then velocities [rad/s] of the joints, at which the terms are to be.
     motion: Matrix
@@ -46,17 +44,20 @@ class MemoryParts(Protocol):
     # Matrices have their rows one after the other; `mass_matrix` and rotations, their columns.
     terms: ModelTerms
 
+    added: Vector  # torques that the drives add to a command by themselves [N m]
+
 
 def make_memory_record(loop: ControlLoop) -> type:
     """Return the record of all that a tick of a controller works on."""
     supervisor = loop.supervisor
     n = len(supervisor.controller.arm.joints)
-    fields: dict[str, Any] = {'inputs': Annotated[Records[InputStage], 1]}
+    fields: dict[str, Any] = {}
     for name, kind in get_type_hints(TickRecords).items():
         count = len(getattr(supervisor.records, name))
         fields[name] = Annotated[kind, count]
     fields['motion'] = Annotated[Matrix, 2, n]
     fields['terms'] = make_terms_record(n)
+    fields['added'] = Annotated[Vector, n]
     return _make_record('Controller', MemoryParts, fields)
 
 
@@ -74,10 +75,10 @@ def _make_record(name: str, described: type, fields: dict[str, Any]) -> type:
 def copy_memory(loop: ControlLoop, memory: Records[Any]) -> None:
     """Copy what a tick of a controller works on into one record of `make_memory_record`."""
     supervisor = loop.supervisor
-    memory['inputs'] = supervisor.inputs.stage
     for name, records in supervisor.records._asdict().items():
         memory[name] = records
     memory['motion'] = supervisor.controller.arm.motion
+    memory['added'] = supervisor.controller.arm.joints['drive_gravity_torque']
     terms = memory['terms'][0]
     for name, term in supervisor.controller.robot.terms._asdict().items():
         place = terms[name]

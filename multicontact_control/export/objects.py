@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+import inspect
 from typing import Any
 
 from llvmlite import binding as llvm
@@ -13,23 +14,22 @@ from numba.core.registry import cpu_target
 import numpy as np
 
 OPTIMISATION = 3
+LAYOUT = 'mc_library_layout'
 PASSES = (
     2  # what the first makes constant of an entry's arguments, the second takes out
 )
 # Calls an entry as numba compiles it: results and exceptions go to places, the status is
 # returned. No kernel raises: divisions by zero give infinity or NaN.
 SHIM = """
-declare i32 @"{symbol}"(ptr, ptr, ptr)
-define i64 @{name}(ptr %memory) {{
+declare i32 @"{symbol}"(ptr, ptr, ptr{types})
+define i64 @{name}(ptr %memory{arguments}) {{
   %result = alloca i64
   %exception = alloca ptr
-  %status = call i32 @"{symbol}"(ptr %result, ptr %exception, ptr %memory)
+  %status = call i32 @"{symbol}"(ptr %result, ptr %exception, ptr %memory{arguments})
   %value = load i64, ptr %result
   ret i64 %value
 }}
 """
-
-
 # In Python an assignment between arrays of unlike shapes allocates what it raises. Shapes are
 # those of the configuration, with which Python runs the same code: here it ends the program.
 NO_ALLOCATION = """
@@ -42,22 +42,23 @@ define ptr @NRT_Allocate(i64 %size) noreturn {
 
 
 def compile_entries(
-    entries: Mapping[str, Callable[[Any], Any]],
+    entries: Mapping[str, Callable[..., Any]],
     memory: np.dtype[Any],
     layout: int,
     triple: str = '',
 ) -> bytes:
     """
-    Return an object file with a C function `int64_t NAME(memory *)` for each entry.
+    Return an object file with a function of C for each entry.
 
     Parameters
     ----------
     entries
-        Functions of a pointer to the memory, which return a number, by their names in C.
+        Functions of a pointer to the memory, and of whole numbers, which return one, by their
+        names in C.
     memory
         What it points to.
     layout
-        Number that the object has as `mc_library_layout`.
+        Number that the object has as `LAYOUT`.
     triple
         Target, as LLVM names it; empty for this machine and all that its processor can do.
 
@@ -68,9 +69,13 @@ def compile_entries(
 
     """
     machine = _find_machine(triple)
-    module = llvm.parse_assembly(f'@mc_library_layout = constant i64 {layout}')
+    layout_constant = f'@{LAYOUT} = constant i64 {layout}'
+    module = llvm.parse_assembly(layout_constant + NO_ALLOCATION)
     for name, function in entries.items():
         module.link_in(_compile_entry(name, function, memory))
+    for symbol in (*module.functions, *module.global_variables):
+        if not symbol.is_declaration and symbol.name not in (*entries, LAYOUT):
+            symbol.linkage = 'internal'
     module.triple = machine.triple
     module.data_layout = str(machine.target_data)
     options = llvm.create_pipeline_tuning_options(speed_level=OPTIMISATION)
@@ -79,6 +84,11 @@ def compile_entries(
         passes.getModulePassManager().run(module, passes)
     code: bytes = machine.emit_object(module)
     return code
+
+
+def count_numbers(entry: Callable[..., Any]) -> int:
+    """Return how many whole numbers an entry takes beside the pointer."""
+    return len(inspect.signature(entry).parameters) - 1
 
 
 def _find_machine(triple: str) -> llvm.TargetMachine:
@@ -101,9 +111,9 @@ def _find_machine(triple: str) -> llvm.TargetMachine:
 
 
 def _compile_entry(
-    name: str, function: Callable[[Any], Any], memory: np.dtype[Any]
+    name: str, function: Callable[..., Any], memory: np.dtype[Any]
 ) -> llvm.ModuleRef:
-    """Return LLVM's module of an entry, in which nothing else is visible from outside."""
+    """Return LLVM's module of an entry and of the kernels that it calls."""
     typing, target = cpu_target.typing_context, cpu_target.target_context
     typing.refresh()
     target.refresh()
@@ -112,15 +122,18 @@ def _compile_entry(
     flags.no_cfunc_wrapper = True
     flags.error_model = 'numpy'
     flags.nrt = True
+    numbers = count_numbers(function)
     pointer = numba.types.CPointer(numba.from_dtype(memory))
+    kinds = (pointer, *[numba.types.int64] * numbers)
     result = compile_extra(
-        typing, target, function, (pointer,), numba.types.int64, flags, {}
+        typing, target, function, kinds, numba.types.int64, flags, {}
     )
     module = llvm.parse_assembly(result.library.get_llvm_str())
-    shim = SHIM.format(name=name, symbol=result.fndesc.llvm_func_name)
-    for text in (shim, NO_ALLOCATION):
-        module.link_in(llvm.parse_assembly(text))
-    for symbol in (*module.functions, *module.global_variables):
-        if not symbol.is_declaration and symbol.name != name:
-            symbol.linkage = 'internal'
+    shim = SHIM.format(
+        name=name,
+        symbol=result.fndesc.llvm_func_name,
+        types=', i64' * numbers,
+        arguments=''.join(f', i64 %number_{k}' for k in range(numbers)),
+    )
+    module.link_in(llvm.parse_assembly(shim))
     return module

@@ -58,8 +58,10 @@ private:
 
     static void place(const pinocchio::SE3 &frame, double position[3], double rotation[3][3])
     {
-        Eigen::Map<Eigen::Vector3d>(position, 3) = frame.translation();
-        Eigen::Map<Eigen::Matrix3d>(&rotation[0][0]) = frame.rotation();
+        Eigen::Map<Eigen::Vector3d> origin(position);
+        Eigen::Map<Eigen::Matrix3d> axes(&rotation[0][0]);
+        origin = frame.translation();
+        axes = frame.rotation();
     }
 
     pinocchio::Model model_;

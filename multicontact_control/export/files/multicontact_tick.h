@@ -6,7 +6,7 @@
 
    A cycle:
 
-       write controller.inputs[0].sample        what came in, with its stamps
+       write controller.stages[0].sample        what came in, with its stamps
        mc_take(&controller)                     false: a reading is not as it should be
        write controller.terms                   the arm's model at controller.motion
        write controller.controls[0].wanted and contacts[i].wanted, alpha_wanted
@@ -50,12 +50,7 @@ typedef struct {
 /* MC_LAYOUT of the library. */
 extern const uint64_t mc_library_layout;
 
-/* Check the newest sample, and hand over what of it is valid: positions and velocities to
-   `motion`. Returns 1 if all is well; `inputs[0].found` says what is not. */
-int64_t mc_take(mc_controller *controller);
-
-/* Answer the sample taken last; returns flags. */
-int64_t mc_tick(mc_controller *controller);
+@CALLS@
 
 /* Why mc_configure refuses records. */
 #define MC_WRONG_SIZE 1 /* they are no records, or cut short */
