@@ -255,7 +255,7 @@ def velocity_at(twist: Vector, lever: Vector | Triple) -> Triple:
 
 
 @compiled
-def turn_rotation_by_vector(vector: Vector, rotation: Matrix) -> None:
+def turn_rotation_by_vector(vector: Vector | Triple, rotation: Matrix) -> None:
     """
     Turn a rotation in place, shape (3, 3), by a rotation vector, shape (3,) [rad] (Rodrigues).
 

@@ -21,8 +21,8 @@ from multicontact_control.nodes.link import (
     DEACTIVATE,
 )
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
+from multicontact_control.supervision.causes import INFLATE, LATCHED, NAMES, NONE
 from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
-from multicontact_control.supervision.reactions import INFLATE, LATCHED, NONE
 import numpy as np
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import JointState
@@ -492,7 +492,7 @@ def _require_passing(
     lasted: float,
 ) -> None:
     """End a motion that does not go on by itself, or has not for so long [s]."""
-    if lasted <= LONGEST_INTERRUPTION and LATCHED not in status.causes.split():
+    if lasted <= LONGEST_INTERRUPTION and NAMES[LATCHED] not in status.causes.split():
         return
     distance = np.linalg.norm(goal.position_world - state.position_world)
     place = ', '.join(f'{x:.4g}' for x in state.position_world)

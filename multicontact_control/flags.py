@@ -2,7 +2,7 @@
 What a tick finds, one bit each; a kernel returns the sum of what it finds.
 
 The bits are grouped by the part that finds them; their order has no effect. Which cause is said
-first is in `WRONG_WRENCH` and `TOO_FAST` (`supervision.checks`). Compiled code reads the bits as
+first is in `supervision.causes`. Compiled code reads the bits as
 plain integers.
 """
 
@@ -41,14 +41,9 @@ TORQUE_LIMITED = 1 << 17
 TORQUE_RATE_LIMITED = 1 << 18
 SINGULARITY_BOUNDED = 1 << 19
 
-# The law is asked only once it has been decided whether it answers at all.
-ALARMS = (
-    MODEL_NOT_FINITE
-    | OPERATIONAL_SPEED
-    | JOINT_SPEED
-    | FORCES_AMBIGUOUS
-    | RESIDUAL_EXCEEDED
-)
+# There is no answer of the law: for one of these, or as the arm or its contacts are not known.
+NO_ANSWER = 1 << 20
+
 BOUNDING_LIMITS = JOINT_BOUNDED | SINGULARITY_BOUNDED  # of the motion of the arm
 LASTING_LIMITS = BOUNDING_LIMITS | TORQUE_LIMITED  # of which the force laws are told
 LIMITS = LASTING_LIMITS | TORQUE_REPLACED | TORQUE_RATE_LIMITED

@@ -219,7 +219,7 @@ class ControlLoop:
             )
         if self.output is not None and self.output.answer['active'].any():
             raise CommandError('contacts', hint='let go of them first: command 0 N')
-        if self.supervisor.reactions.presses_contact:
+        if self.supervisor.presses_contact:
             raise CommandError('contacts', hint='wait: a reaction still presses one')
 
     def push_test(self, config: PushTestConfig) -> str:

@@ -200,7 +200,10 @@ class JointConfig(Record, Protocol):
     lower: float
     upper: float
 
-    posture: float  # q_0, where the null space takes it [rad]
+    # q_0, where the null space takes it, and what is told for that, NaN for where it is [rad].
+    posture: float
+    told_posture: float
+
     torque_limit: float  # of the command [N m]
     torque_step: float  # of what is commanded, per period [N m]
     gate_speed: float  # to which the gate brakes it [rad/s]

@@ -1,84 +1,50 @@
-"""The control loop of one sample, from the arm's model to the commanded torque, compiled."""
+"""
+The control loop of one sample, from inputs and the arm's model to the commanded torque, compiled.
+
+Whatever embeds the controller calls `tick` alone: `Supervisor` in Python, the C library in a
+robot's own loop.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
-
 from multicontact_control.arrays import Matrix
 from multicontact_control.compiled import compiled
-from multicontact_control.control.arm import ArmSpace, update_arm_state
-from multicontact_control.control.law import control_law, LawSpace
+from multicontact_control.control.arm import update_arm_state
+from multicontact_control.control.law import control_law
 from multicontact_control.control.motion_observer import observe_motion
 from multicontact_control.dynamics.terms import ModelTerms, TermTuple
 from multicontact_control.flags import (
-    ALARMS,
     ANSWER_REFUSED,
     BOUNDING_LIMITS,
     COLUMNS_DEPENDENT,
+    FORCES_AMBIGUOUS,
+    MODEL_NOT_FINITE,
+    NO_ANSWER,
     POSTURE_SINGULAR,
     REFERENCE_LIMITED,
 )
-from multicontact_control.force.force_law import ForceLaw
-from multicontact_control.records import (
-    Contact,
-    Control,
-    Joint,
-    Record,
-    record_dtype,
-    Records,
+from multicontact_control.supervision.causes import (
+    find_refusal_cause,
+    INTERNAL,
+    TO_INFLATE,
 )
-from multicontact_control.supervision.checks import judge_answer, Judgement
-from multicontact_control.supervision.contact_task import limit_task, TaskLimits
-from multicontact_control.supervision.contacts import ContactState
-from multicontact_control.supervision.gate import GateState, number_of_law, pass_gate
+from multicontact_control.supervision.checks import judge_answer
+from multicontact_control.supervision.contact_task import limit_task
+from multicontact_control.supervision.decisions import (
+    begin_acting,
+    decide,
+    hand_over_to_law,
+    lose_sight,
+    react,
+    refuse_answer,
+)
+from multicontact_control.supervision.gate import number_of_law, pass_gate
+from multicontact_control.supervision.input_checks import FINE
+from multicontact_control.supervision.tick_records import RecordTuple, TickRecords
 
 # Stages of a tick.
 SEE = 1
 ACT = 2
-
-
-class Workspace(Record, Protocol):
-    """What a tick works in, so that it allocates nothing: one record for each of its parts."""
-
-    arm: ArmSpace
-    law: LawSpace
-
-
-WORKSPACE = record_dtype(Workspace)
-
-
-class TickRecords(NamedTuple):
-    """
-    The records that a tick works on, which are made once and changed by every tick.
-
-    Those of what is set (`config`) change between ticks alone: at the start, by live parameters
-    and by what a reaction decides.
-    """
-
-    joints: Records[Joint]  # shape (n,); `gate.commanded_torque` is what is commanded
-    controls: Records[Control]  # one
-    contacts: Records[Contact]  # shape (r,), as of laws and states
-    laws: Records[ForceLaw]
-    states: Records[ContactState]
-
-    # One of each.
-    limits: Records[TaskLimits]
-    judgements: Records[Judgement]
-    gates: Records[GateState]
-    workspaces: Records[Workspace]
-
-
-RecordTuple = tuple[
-    Records[Joint],
-    Records[Control],
-    Records[Contact],
-    Records[ForceLaw],
-    Records[ContactState],
-    Records[TaskLimits],
-    Records[Judgement],
-    Records[GateState],
-    Records[Workspace],
-]
 
 
 @compiled
@@ -89,10 +55,11 @@ def tick(
     term_tuple: TermTuple,
 ) -> int:
     """
-    See the arm, then act: limit the task, ask the law, judge its answer, let the torque through.
+    See the arm and decide what answers, then act: by the control law, or by a reaction.
 
-    An alarm of the first stage ends it before the second; an answer that is missing or refused
-    ends that before the gate, so that no torque is commanded.
+    The inputs have been taken in by `check_inputs`, and the model is computed where they say that
+    the arm is. Where `Supervision.begins` or `resumes` says so, a task may be started between the
+    stages; otherwise both may be one call, with what is wanted in `control.wanted`.
 
     Parameters
     ----------
@@ -107,34 +74,84 @@ def tick(
     Returns
     -------
     int
-        What was found; see `flags`.
+        What was found; see `flags`. Without guards there may be no torque: NO_ANSWER.
 
     """
     records = TickRecords(*record_tuple)
     terms = ModelTerms(*term_tuple)
+    supervision = records.supervisions[0]
+    if stages & SEE:
+        decide(records, see_arm(records, motion, terms))
+    found = supervision.arm_found
+    if not stages & ACT:
+        return found
+    if supervision.reaction <= TO_INFLATE:
+        found |= answer_by_law(records, terms)
+        if not found & (NO_ANSWER | ANSWER_REFUSED):
+            hand_over_to_law(records, terms, found)
+            return found
+        if not supervision.config.guarded:
+            return found
+        refuse_answer(records, find_refusal_cause(found))
+    return found | react(records, terms)
+
+
+@compiled
+def see_arm(records: TickRecords, motion: Matrix, terms: ModelTerms) -> int:
+    """Take in where the arm is and what touches it, if it is known; return what was found."""
+    supervision = records.supervisions[0]
+    stage = records.stages[0]
+    control = records.controls[0]
+    guarded = supervision.config.guarded
+    control.measured = not guarded or stage.found.wrench.problem == FINE
+    if guarded and not stage.state.known:
+        return 0
+    found = update_arm_state(
+        motion,
+        terms,
+        records.joints,
+        control,
+        records.contacts,
+        records.workspaces[0].arm,
+    )
+    if not found & MODEL_NOT_FINITE:
+        supervision.seen = True
+    if found & FORCES_AMBIGUOUS:
+        control.measured = False  # it is older
+    return found
+
+
+@compiled
+def answer_by_law(records: TickRecords, terms: ModelTerms) -> int:
+    """
+    Limit the task, ask the law, judge its answer, let the torque through.
+
+    Returns what was found. An answer that is missing or refused ends this before the gate, so that
+    no torque is commanded.
+    """
+    supervision = records.supervisions[0]
     joints = records.joints
     contacts = records.contacts
     control = records.controls[0]
-    space = records.workspaces[0]
-    found = 0
-    if stages & SEE:
-        found = update_arm_state(motion, terms, joints, control, contacts, space.arm)
-        if found & ALARMS:
-            return found
-    if not stages & ACT:
-        return found
     limit = records.limits[0]
     gate = records.gates[0]
+    space = records.workspaces[0].law
+    begin_acting(records, terms)
+    unknown = supervision.arm_found & (MODEL_NOT_FINITE | FORCES_AMBIGUOUS)
+    if unknown:
+        return NO_ANSWER
+    found = 0
+    limit.time = supervision.task_ticks * supervision.config.period
     if limit_task(limit, control, contacts, records.states):
         found |= REFERENCE_LIMITED
-    observe_motion(control, joints, contacts, space.law.inertia, space.law.motion)
-    found |= control_law(control, joints, terms, contacts, records.laws, space.law)
+    observe_motion(control, joints, contacts, space.inertia, space.motion)
+    found |= control_law(control, joints, terms, contacts, records.laws, space)
     if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
-        return found
+        return found | NO_ANSWER
     strict = limit.config.guarded and not limit.locked
-    found |= judge_answer(
-        records.judgements[0], control, joints, contacts, records.states, strict
-    )
+    judgement = records.judgements[0]
+    judgement.resumes = supervision.paused
+    found |= judge_answer(judgement, control, joints, contacts, records.states, strict)
     if found & ANSWER_REFUSED:
         return found
     gate.seen = True
@@ -143,3 +160,19 @@ def tick(
     if found & BOUNDING_LIMITS:
         limit.bounded_at = limit.time
     return found
+
+
+@compiled
+def answer_error(cause: int, record_tuple: RecordTuple, term_tuple: TermTuple) -> int:
+    """
+    Answer a tick in which what surrounds the compiled code has failed, by a reaction.
+
+    `cause` is LAW or LAW_NOT_FINITE where a task was to be had, INTERNAL for all else; for the
+    others and what is returned see `tick`.
+    """
+    records = TickRecords(*record_tuple)
+    if cause == INTERNAL:
+        lose_sight(records)
+    else:
+        refuse_answer(records, cause)
+    return react(records, ModelTerms(*term_tuple))

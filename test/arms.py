@@ -71,7 +71,7 @@ class Law:
         law.contacts['noise_variance'] = noise_variance
         law.take_sample(measurement.q, measurement.qd, measurement.wrench_sensor)
         if law.arm.flags & FORCES_AMBIGUOUS:
-            law.raise_no_answer()
+            raise law.explain_no_answer(law.arm.flags)
         if not law.started:
             self._task.start_task(law.start())
         self._task.update_wanted_task(measurement.time)

@@ -54,13 +54,13 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 9_600,
-    'dynamics': 8_000,
+    TOP: 9_650,
+    'dynamics': 8_050,
     'contact': 4_600,
     'force': 16_000,
     'control': 17_000,
     LOOP: 4_200,
-    'supervision': 28_600,
+    'supervision': 31_300,
     'diagnosis': 3_400,
     'sensor': 3_300,
     'config': 6_800,
@@ -78,7 +78,7 @@ BUDGETS = {
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
-MOST_COMPILED = 156  # functions
+MOST_COMPILED = 216  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 11.6, 27

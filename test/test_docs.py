@@ -6,11 +6,7 @@ import re
 import subprocess
 import sys
 
-from arms import controller_config
-from multicontact_control.flags import ANSWER_NOT_FINITE
-from multicontact_control.supervision import checks
-from multicontact_control.supervision.inputs import PARTS, PROBLEMS
-from multicontact_control.supervision.reactions import FLOAT, LATCHED, RECOVERING
+from multicontact_control.supervision import causes
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,14 +33,8 @@ def test_equations_are_in_the_functions_that_the_derivation_names():
 
 
 CAUSES = re.compile(r'^\| `(\w+)` \| .* \| `?([\w.]+)`? \|$', re.MULTILINE)
-SUPERVISED_CAUSES = (
-    *checks.WRONG_WRENCH.values(),
-    *checks.TOO_FAST.values(),
-    checks.VELOCITY_CONTRADICTED,
-    checks.name_refusal_cause(ANSWER_NOT_FINITE),
-    RECOVERING,
-    LATCHED,
-)
+# Of an exception or a collision, what is added is not in the table.
+SUPERVISED_CAUSES = {*causes.CHECKS.values()} - {'collision', 'internal', 'law'}
 
 
 def test_interface_says_which_reaction_each_cause_leads_to():
@@ -52,16 +42,17 @@ def test_interface_says_which_reaction_each_cause_leads_to():
     text = (ROOT / 'docs/interface.md').read_text(encoding='utf-8')
     section = text.partition('## Reactions')[2].partition('## Nodes')[0]
     reactions = dict(CAUSES.findall(section))
-    assert {*SUPERVISED_CAUSES} < {*reactions}
+    assert SUPERVISED_CAUSES < {*reactions}
     of_inputs = {
-        cause.partition('_')[2] for cause in reactions if cause.startswith(PARTS)
+        cause.partition('_')[2] for cause in reactions if cause.startswith(causes.PARTS)
     }
-    assert {*PROBLEMS[1:], 'stale'} <= of_inputs
+    assert {*causes.PROBLEMS} <= of_inputs
     assert reactions.pop('collision_JOINT') == 'collision.reaction'
-    assert reactions.pop('internal_ERROR') == FLOAT
-    config = controller_config()
+    assert reactions.pop('internal_ERROR') == causes.FLOAT
     for cause, reaction in reactions.items():
-        assert checks.choose_severest_reaction((cause,), config) == reaction, cause
+        bit = causes.BITS.get(cause, causes.LAW)
+        number = causes.choose_severest_reaction(bit, causes.TO_NONE)
+        assert causes.SEVERITY[number] == reaction, cause
 
 
 def prose(path):

@@ -6,7 +6,7 @@ from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.input_checks import check_inputs
-from multicontact_control.tick import TickRecords
+from multicontact_control.supervision.tick_records import TickRecords
 from numba.core.runtime import _nrt_python, rtsys
 import pytest
 

@@ -30,7 +30,7 @@ from multicontact_control.runs.bag import (
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.scenario import read_controller_files
 from multicontact_control.sensor import tool
-from multicontact_control.supervision.reactions import INFLATE, NONE
+from multicontact_control.supervision.causes import INFLATE, NONE
 import numpy as np
 from scipy.spatial.transform import Rotation
 

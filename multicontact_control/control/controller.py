@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Vector
@@ -14,15 +14,17 @@ from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import interpolate_tool, make_tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
+from multicontact_control.control.motion_observer import forget_disturbance
 from multicontact_control.dynamics.operational_space import (
+    choose_posture,
     MAX_MOBILITY_CONDITION,
-    STOP_MARGIN,
 )
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import (
     ConfigError,
     ContactGeometryError,
+    MulticontactError,
     SingularTaskError,
 )
 from multicontact_control.flags import (
@@ -33,7 +35,6 @@ from multicontact_control.flags import (
     TORQUE_LIMITED,
 )
 from multicontact_control.force.force_law import (
-    add_extra_acceleration,
     continue_laws,
     ForceLaw,
     make_force_laws,
@@ -132,8 +133,9 @@ class Controller:
     ----------
     arm
         Where the arm is.
-    controls, contacts, laws
-        One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,).
+    controls, contacts, laws, fresh_laws
+        One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,); the last are the
+        laws before they know anything.
     memory
         The bytes of the first two.
     tool, next_tool
@@ -177,9 +179,10 @@ class Controller:
         self.reset()
         self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
         self.laws: Records[ForceLaw] = make_force_laws(config)
+        self.fresh_laws = self.laws.copy()
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.answer()  # all joints at 0 need not be a good posture
-        continue_laws(make_force_laws(config), self.laws)  # as a live change does
+        continue_laws(self.fresh_laws.copy(), self.laws)  # as a live change does
         self.reset()
 
     def _set_configuration(self, config: ControllerConfig) -> None:
@@ -195,6 +198,7 @@ class Controller:
         joints['torque_limit'] = config.torque_limit or np.inf
         joints['lower'] = config.limits.joint_lower or -np.inf
         joints['upper'] = config.limits.joint_upper or np.inf
+        joints['told_posture'] = config.posture.joints or math.nan
 
     def _set_motion_observer(self, config: ControllerConfig) -> None:
         """Set the gains of the motion's observer; what is not observed any more is 0."""
@@ -212,13 +216,6 @@ class Controller:
         if motion.friction_time > 0.0 and config.wrench_input != 'momentum':
             share = 1.0 - math.exp(-config.period / motion.friction_time)
         observer['config']['friction_share'] = share
-
-    def pause_motion_observer(self) -> None:
-        """Forget what disturbs the motion: something else than the law moves the arm."""
-        observer = self.controls['motion_observer']
-        observer['running'] = False
-        observer['disturbance'] = 0.0
-        observer['friction'] = 0.0
 
     def _carry_tool(self, tool: ToolConfig) -> None:
         """Take a tool off the readings (by momentum they are without it), and bear its weight."""
@@ -240,7 +237,7 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self.started = False
-        self.pause_motion_observer()
+        forget_disturbance(self.controls[0])
         self._carry_tool(self.next_tool)
         self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0
@@ -293,6 +290,7 @@ class Controller:
             # What is learnt of surfaces stays.
             configure_contacts(config, self.contacts)
         self._set_configuration(config)
+        self.fresh_laws[:] = design.laws
         if self.started:
             continue_laws(design.laws, self.laws)
             self.laws[:] = design.laws
@@ -309,18 +307,18 @@ class Controller:
         self.controls['wrench'] = wrench_sensor
         self.arm.take_motion()
 
-    def start(self) -> Pose:
-        """Let the force laws begin; return the pose from which a task starts."""
-        self.laws[:] = make_force_laws(self.config)
-        joints = self.arm.joints['config']
-        posture = self.config.posture.joints or self.arm.q
-        # What lies beyond a stop would be fought over.
-        lowest = joints['lower'] + STOP_MARGIN
-        highest = joints['upper'] - STOP_MARGIN
-        joints['posture'] = np.clip(posture, lowest, highest)
+    def begin(self) -> Pose:
+        """Take note that the force laws begin; return the pose from which a task starts."""
+        self._carry_tool(self.next_tool)
         self.started = True
         position, rotation = self.arm.pose
         return Pose(position.copy(), rotation.copy())
+
+    def start(self) -> Pose:
+        """Let the force laws begin; return the pose from which a task starts."""
+        self.laws[:] = self.fresh_laws
+        choose_posture(self.arm.joints)
+        return self.begin()
 
     def answer(self) -> bool:
         """
@@ -340,7 +338,7 @@ class Controller:
 
         """
         if self.arm.flags & (FORCES_AMBIGUOUS | MODEL_NOT_FINITE):
-            self.raise_no_answer()
+            raise self.explain_no_answer(self.arm.flags)
         found = control_law(
             self.controls[0],
             self.arm.joints,
@@ -350,7 +348,7 @@ class Controller:
             self._space,
         )
         if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
-            self.raise_no_answer(found)
+            raise self.explain_no_answer(found)
         return bool(found & TORQUE_LIMITED)
 
     def drive_gravity_torque(self) -> Vector:
@@ -359,38 +357,15 @@ class Controller:
             return self.robot.gravity.copy()
         return self.robot.gravity - self.robot.compute_load_torque(self.tool)
 
-    def account_for_torque(self, torque: Vector) -> None:
-        """
-        Tell the force laws that another torque, shape (n,) [N m], acts than the one answered.
-
-        It accelerates the contact points by N^T J M^-1 Delta Gamma more, and so does what is fed
-        forward beyond the estimate, which a force that cannot be reached never makes good. So much
-        is added to the input that they predict with.
-        """
-        terms = self.robot.terms
-        active = self.active
-        if not active.any():
-            return
-        M = np.triu(terms.mass_matrix)
-        M += np.triu(M, 1).T
-        N = self.contacts['N'][active].T
-        answer = self.contacts['answer'][active]
-        unlimited = self.arm.joints['answer']['unlimited']
-        beyond = answer['alpha_fed_forward'] - answer['alpha_est']
-        twist_rate = terms.jacobian @ np.linalg.solve(
-            M, torque - unlimited + terms.jacobian.T @ (N @ beyond)
-        )
-        add_extra_acceleration(self.laws, active, N.T @ twist_rate)
-
-    def raise_no_answer(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
-        """Raise what `control_law` has found, or that the model has no finite numbers."""
+    def explain_no_answer(self, found: int) -> MulticontactError:
+        """Return the error of what `tick` or `control_law` has found instead of an answer."""
         if not self.arm.has_finite_terms:
-            raise SingularTaskError(
+            return SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}'
             )
-        if found & COLUMNS_DEPENDENT:
-            raise ContactGeometryError(
+        if found & (COLUMNS_DEPENDENT | FORCES_AMBIGUOUS):
+            return ContactGeometryError(
                 'N: expected independent columns, got normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other'
             )
@@ -398,7 +373,7 @@ class Controller:
         eigenvalues = np.linalg.eigvalsh(
             state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T)
         )
-        raise SingularTaskError(
+        return SingularTaskError(
             f'J M^-1 J^T: expected a condition number below {MAX_MOBILITY_CONDITION:g}, '
             f'got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}'
         )

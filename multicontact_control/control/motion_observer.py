@@ -57,6 +57,15 @@ MOTION_SPACE = record_dtype(MotionSpace)
 
 
 @compiled
+def forget_disturbance(control: Control) -> None:
+    """Forget what disturbs the motion: something else than the law moves the arm."""
+    observer = control.motion_observer
+    observer.running = False
+    observer.disturbance[:] = 0.0
+    observer.friction[:] = 0.0
+
+
+@compiled
 def observe_motion(
     control: Control,
     joints: Records[Joint],

@@ -12,10 +12,13 @@ from multicontact_control.diagnosis.gravity import explain_gravity
 from multicontact_control.diagnosis.late_wrench import explain_lag
 from multicontact_control.diagnosis.sensor_axes import explain_axes
 from multicontact_control.diagnosis.velocities import explain_velocities
-from multicontact_control.supervision.checks import (
+from multicontact_control.supervision.causes import (
     COLLISION,
-    VELOCITY_CONTRADICTED,
-    WRONG_WRENCH,
+    JOINTS_VELOCITY,
+    NAMES,
+    WRENCH_PULL,
+    WRENCH_SIDEWAYS,
+    WRENCH_STRAY,
 )
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.inputs import Inputs
@@ -24,6 +27,7 @@ import numpy as np
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 STANDING_SPEED = 0.01  # rad/s, of every joint, below which an arm stands
 WRENCH_STALE = 'wrench_stale'
+CONTRADICTED = NAMES[WRENCH_PULL], NAMES[WRENCH_STRAY], NAMES[WRENCH_SIDEWAYS]
 DOUBTED = (
     'Held by estimates from the positions until ten readings of such joints in motion '
     'agree, or an operator resumes control (~/retry)'
@@ -32,7 +36,7 @@ DOUBTED = (
 
 def _have_collision(causes: tuple[str, ...]) -> bool:
     """Return whether one of some causes is a collision."""
-    return any(cause.startswith(COLLISION) for cause in causes)
+    return any(cause.startswith(NAMES[COLLISION]) for cause in causes)
 
 
 class Explanations:
@@ -66,10 +70,10 @@ class Explanations:
         """Return a sentence for a cause; empty if it has none."""
         if cause == WRENCH_STALE:
             return self._wrench_outage()
-        if cause in WRONG_WRENCH.values():
+        if cause in CONTRADICTED:
             return self._sensor_axes() or self.stray_force()
-        collides = cause.startswith(COLLISION)
-        if collides or cause == VELOCITY_CONTRADICTED:
+        collides = cause.startswith(NAMES[COLLISION])
+        if collides or cause == NAMES[JOINTS_VELOCITY]:
             velocity = self._velocities()
             if velocity:
                 return f'{velocity}. {DOUBTED}'

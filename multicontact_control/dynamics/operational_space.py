@@ -28,6 +28,7 @@ from multicontact_control.records import (
     record_dtype,
     Records,
 )
+import numpy as np
 
 MAX_MOBILITY_CONDITION = 1e8  # of Lambda^-1; a posture is singular beyond
 STOP_MARGIN = 0.1  # rad before its stop, within which a joint is pushed away from it
@@ -180,6 +181,22 @@ def compute_mobility_gradient(
             if k <= i:
                 angular_change = cross(jacobian[3:, k], jacobian[3:, i])
                 gradient[k] += twice_rate * dot(angular, angular_change)
+
+
+@compiled
+def choose_posture(joints: Records[Joint]) -> None:
+    """
+    Set q_0 of the null space: as told, or where the arm is, away from the stops.
+
+    What lies beyond a stop would be fought over. `joints` are records of `JOINT`, shape (n,).
+    """
+    for joint in joints:
+        config = joint.config
+        config.posture = joint.q
+        if not np.isnan(config.told_posture):
+            config.posture = config.told_posture
+        config.posture = max(config.posture, config.lower + STOP_MARGIN)
+        config.posture = min(config.posture, config.upper - STOP_MARGIN)
 
 
 @compiled

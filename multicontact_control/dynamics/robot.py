@@ -116,7 +116,7 @@ class RobotModel:
         frame = data.oMf[self._frame]
         sensor = data.oMf[self._sensor]
         self.gravity: Vector = data.g
-        self._joint_terms: tuple[Matrix, Vector] = (data.M, data.nle)
+        self._joint_terms: tuple[Matrix, Vector, Vector] = (data.M, data.nle, data.g)
         self._placements: tuple[Vector, Matrix, Vector, Matrix] = (
             frame.translation,
             frame.rotation,

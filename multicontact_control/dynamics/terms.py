@@ -16,6 +16,7 @@ class ModelTerms(NamedTuple):
 
     mass_matrix: Matrix  # M with armature, its upper triangle, shape (n, n) [kg m^2]
     bias_torque: Vector  # C(q, v) v + g(q), shape (n,) [N m]
+    gravity: Vector  # g(q), shape (n,) [N m]
     jacobian: Matrix  # J of the operational point, linear rows first, shape (6, n)
     jacobian_rate: Matrix  # dJ/dt, shape (6, n)
 
@@ -29,4 +30,6 @@ class ModelTerms(NamedTuple):
 
 
 # Its fields in a plain tuple, which numba takes from Python in half the time.
-TermTuple = tuple[Matrix, Vector, Matrix, Matrix, Vector, Matrix, Vector, Matrix]
+TermTuple = tuple[
+    Matrix, Vector, Vector, Matrix, Matrix, Vector, Matrix, Vector, Matrix
+]

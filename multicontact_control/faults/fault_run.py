@@ -21,8 +21,8 @@ from multicontact_control.faults.vocabulary import (
 )
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import plant_source, resolve, Setup
+from multicontact_control.supervision.causes import SEVERITY
 from multicontact_control.supervision.inputs import TickInputs
-from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 
 RUN_TICKS = 600

@@ -13,7 +13,7 @@ from multicontact_control.faults.unasked_motion import MotionTrace, unasked_moti
 from multicontact_control.faults.vocabulary import Fault, REST, SLIDING
 from multicontact_control.judging.metrics import torque_limit
 from multicontact_control.runs.scenario import Setup
-from multicontact_control.supervision.reactions import SEVERITY
+from multicontact_control.supervision.causes import SEVERITY
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 

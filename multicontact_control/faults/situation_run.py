@@ -25,8 +25,8 @@ from multicontact_control.faults.unasked_motion import (
 )
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import Setup
+from multicontact_control.supervision.causes import SEVERITY
 from multicontact_control.supervision.inputs import TickInputs
-from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation

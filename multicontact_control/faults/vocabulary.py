@@ -47,8 +47,6 @@ PARTS = (
     'inputs.validate',
     'controller.robot.compute',
     'task.update_wanted_task',
-    'reactions.reaction_torque',
-    'gate.apply_torque',
 )
 
 

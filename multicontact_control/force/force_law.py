@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Annotated, Any, cast, get_args, Protocol
 
 from multicontact_control.algebra import dot
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
@@ -27,7 +27,7 @@ from multicontact_control.force.margins import (
 from multicontact_control.force.observer import (
     command_acceleration,
     command_rest,
-    continue_observers_after_pause,
+    continue_observer_after_pause,
     continue_observers_from,
     make_observers,
     observe_force,
@@ -298,7 +298,7 @@ def _continue_observer(new_law: Records[ForceLaw], old_law: Records[ForceLaw]) -
         observer['x_est'][n - order : n] = disturbance
         observer['P'][:n, :n] = design['P_0'] * np.eye(n)
         observer['running'] = True
-        command_rest(new_law['observer'])
+        command_rest(observer)
 
 
 def read_estimates(law: ForceLaw) -> tuple[float, float] | None:
@@ -314,31 +314,27 @@ def read_estimates(law: ForceLaw) -> tuple[float, float] | None:
     return float(x_est[0]), float(disturbance)
 
 
-def continue_laws_after_pause(
-    laws: Records[ForceLaw], held: Mask, force: Vector
-) -> None:
+@compiled
+def continue_law_after_pause(law: ForceLaw, held: bool, force: float) -> None:
     """
-    Go on after a pause with the laws of contacts that stayed pressed.
+    Go on after a pause with the law of a contact, a record of `FORCE_LAW`.
 
-    Their observers start from the measured force [N], shape (r,), see
-    `continue_observers_after_pause`; their linear laws keep their state. Laws of contacts that are
-    not `held`, shape (r,), begin anew.
+    If it stayed pressed, `held`, its observer starts from the measured force [N], see
+    `continue_observer_after_pause`; a linear law keeps its state. Any other begins anew.
     """
-    continue_observers_after_pause(laws['observer'], held, force)
-    laws['linear']['running'] &= held
+    continue_observer_after_pause(law.observer, held, force)
+    law.linear.running = law.linear.running and held
 
 
-def add_extra_acceleration(
-    laws: Records[ForceLaw], which: Mask, acceleration: Vector
-) -> None:
+@compiled
+def add_extra_acceleration(law: ForceLaw, acceleration: float) -> None:
     """
-    Tell laws of an acceleration along their normals that acts beyond their answers.
+    Tell a law of an acceleration along its normal that acts beyond its answer [m/s^2].
 
-    `which` selects contacts, shape (r,), `acceleration` is theirs [m/s^2]: limits and pulls that
-    the laws have not asked for, and that their next prediction counts in.
+    These are limits and pulls that it has not asked for, and that its next prediction counts in.
     """
-    laws['observer']['command'][which] += acceleration
-    laws['linear']['extra'][which] += acceleration
+    law.observer.command += acceleration
+    law.linear.extra += acceleration
 
 
 @compiled

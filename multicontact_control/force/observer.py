@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import comb
 from typing import Annotated, Protocol
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.plant import ForceLoop
 from multicontact_control.records import (
@@ -201,14 +201,24 @@ def _predicted_feedback(observers: Records[Observer]) -> Matrix:
     return feedback
 
 
-def command_rest(observers: Records[Observer]) -> None:
+@compiled
+def command_rest(observer: Observer) -> None:
     """Let what has been commanded be what keeps the force as it is estimated, and at rest."""
-    for i, feedback in enumerate(_predicted_feedback(observers)):
-        x_est, design = observers['x_est'][i], observers['design'][i]
-        states, order = design['states'], design['order']
-        p = x_est[states - order] if order else 0.0
-        # Of the closed loop the feedback takes p off already.
-        observers['command'][i] = feedback[0] * x_est[0] if feedback.any() else -p
+    design = observer.design
+    n = design.states
+    closed = False
+    for i in range(n):
+        for j in range(n):
+            closed = closed or design.Phi_c[i, j] != design.Phi_n[i, j]
+    has_feedback = False
+    for i in range(n):
+        has_feedback = has_feedback or design.feedback[i] != 0.0
+    if closed and has_feedback:  # which takes p off already
+        observer.command = design.feedback[0] * observer.x_est[0]
+        return
+    observer.command = 0.0
+    if design.order > 0:
+        observer.command = -observer.x_est[n - design.order]
 
 
 @compiled
@@ -314,22 +324,20 @@ def command_acceleration(observer: Observer, alpha_des: float) -> float:
     return total
 
 
-def continue_observers_after_pause(
-    observers: Records[Observer], held: Mask, force: Vector
-) -> None:
+@compiled
+def continue_observer_after_pause(observer: Observer, held: bool, force: float) -> None:
     """
-    Go on after a pause; records of `OBSERVER`, changed, and measured forces [N], shape (r,).
+    Go on after a pause with an observer, a record of `OBSERVER`, changed.
 
-    Contacts that stayed pressed, `held`, go on from the measured force, at rest, with the
-    disturbance p from before. The others start anew.
+    That of a contact that stayed pressed, `held`, goes on from the measured force [N], at rest,
+    with the disturbance p from before. Any other starts anew.
     """
-    observers['running'] &= held
-    for observer, is_held, alpha in zip(observers, held, force):
-        if is_held:
-            x_est, design = observer['x_est'], observer['design']
-            x_est[: design['states'] - design['order']] = 0.0
-            x_est[0] = alpha
-    command_rest(observers)
+    if not held:
+        observer.running = False
+        return
+    observer.x_est[: observer.design.states - observer.design.order] = 0.0
+    observer.x_est[0] = force
+    command_rest(observer)
 
 
 @compiled

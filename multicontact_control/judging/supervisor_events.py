@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from multicontact_control.judging.run_series import RunSeries
 from multicontact_control.supervision import contacts
+from multicontact_control.supervision.causes import INFLATE, NONE
 from multicontact_control.supervision.gate import LIMIT_NAMES
-from multicontact_control.supervision.reactions import INFLATE, NONE
 from multicontact_control.supervision.report import EVENT_CAPACITY
 import numpy as np
 

@@ -31,13 +31,13 @@ from multicontact_control.nodes.messages import (
     STATE,
 )
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
+from multicontact_control.supervision.causes import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.contacts import (
     GIVEN_UP,
     LOST,
     RETRACTING,
     STATE_NAMES,
 )
-from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 from rclpy.serialization import serialize_message
 

@@ -119,6 +119,7 @@ def compile_beside() -> None:
     terms = ModelTerms(  # in the order of elements in which pinocchio gives them
         mass_matrix=np.eye(6, order='F'),
         bias_torque=np.zeros(6),
+        gravity=np.zeros(6),
         jacobian=np.eye(6),
         jacobian_rate=np.eye(6),
         position=np.zeros(3),

@@ -1,11 +1,4 @@
-"""
-What an answer of the control law is checked for, and which residual is a collision.
-
-Causes of the checks, as those of the inputs in `inputs`, are named `<part>_<what>`: `motion`
-(`operational_speed`, `joint_speed`), `wrench` (`pull`, `sideways`, `stray`), `law` (`not_finite`,
-or the error it raises), `collision` (the joint that it loads last), `start` (`outside`) and
-`internal` (an error of the supervision itself).
-"""
+"""What an answer of the control law is checked for, and which residual is a collision."""
 
 from __future__ import annotations
 
@@ -22,8 +15,6 @@ from multicontact_control.flags import (
     ANSWER_REFUSED,
     FORCE_SIDEWAYS,
     FORCE_STRAY,
-    JOINT_SPEED,
-    OPERATIONAL_SPEED,
     OUTSIDE_WORKSPACE,
     SURFACE_PULLS,
 )
@@ -36,31 +27,11 @@ from multicontact_control.records import (
     Records,
 )
 from multicontact_control.supervision.contacts import ContactState, FREE, LOST
-from multicontact_control.supervision.reactions import (
-    FLOAT,
-    HOLD,
-    INFLATE,
-    NONE,
-    SEVERITY,
-)
 import numpy as np
 
-# Why the wrench is wrong, in the order in which it is said.
-WRONG_WRENCH = {
-    SURFACE_PULLS: 'wrench_pull',
-    FORCE_STRAY: 'wrench_stray',
-    FORCE_SIDEWAYS: 'wrench_sideways',
-}
 CONTRADICTING = SURFACE_PULLS | FORCE_STRAY | FORCE_SIDEWAYS
 # Samples in a row that contradict the contacts, for the wrench to be refused.
 CONTRADICTIONS = 2
-COLLISION = 'collision'
-VELOCITY_CONTRADICTED = 'joints_velocity'
-TOO_FAST = {
-    OPERATIONAL_SPEED: 'motion_operational_speed',
-    JOINT_SPEED: 'motion_joint_speed',
-}
-
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
 # N, the same of all that is read, with what is taken off as no force.
 READ_PULL_LIMIT = 8.0
@@ -107,27 +78,6 @@ class Judgement(Record, Protocol):
 
 
 JUDGEMENT = record_dtype(Judgement)
-
-
-def choose_severest_reaction(causes: tuple[str, ...], config: ControllerConfig) -> str:
-    """
-    Return the severest reaction that causes call for, `none` for no cause.
-
-    Unknown joints are floated, an R that is not renewed is inflated, a collision is answered as
-    configured; all else is held, also joints whose velocities are estimated from positions.
-    """
-    by_part = {
-        'joints': FLOAT,
-        'variance': INFLATE,
-        COLLISION: config.collision.reaction,
-    }
-    severest = NONE
-    for cause in causes:
-        reaction = HOLD
-        if cause != VELOCITY_CONTRADICTED:
-            reaction = by_part.get(cause.partition('_')[0], HOLD)
-        severest = max(severest, reaction, key=SEVERITY.index)
-    return severest
 
 
 @compiled
@@ -241,18 +191,6 @@ def judge_answer(
             if contacts[i].answer.active:
                 states[i].retract_requested = True
     return found
-
-
-def name_refusal_cause(found: int) -> str:
-    """
-    Return the cause by which an answer is refused.
-
-    Numbers that are not finite come first: a wrench can be told wrong by finite ones only.
-    """
-    for flag, cause in WRONG_WRENCH.items():
-        if found & flag and not found & ANSWER_NOT_FINITE:
-            return cause
-    return 'law_not_finite'
 
 
 def plausibility_limits(config: ControllerConfig) -> Records[Plausibility]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
@@ -10,6 +9,7 @@ from multicontact_control.algebra import (
     add_vector,
     component_across,
     cross,
+    diagonalise,
     divide_vector,
     dot,
     linear_combination,
@@ -26,7 +26,7 @@ from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.tasks import TaskSource, WantedTask, ZERO_TWIST
+from multicontact_control.control.tasks import TaskSource, WantedTask
 from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.records import (
     Contact,
@@ -45,7 +45,6 @@ from multicontact_control.supervision.contacts import (
     ContactState,
 )
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 # The measured force is fed forward below this share of the force held...
 GUARD_SHARE = 0.3
@@ -119,6 +118,7 @@ class TaskLimits(Record, Protocol):
 
     bounded: bool  # whether they have just done so
     catching_up: bool  # whether the reference has still to catch up with the task
+    returning: bool  # whether it sets out from where the arm is, after a pause
 
     # The reference, before contacts move it [m].
     position: Annotated[Vector, 3]
@@ -131,8 +131,15 @@ class TaskLimits(Record, Protocol):
     # Whether contacts have changed their states since `state_names` were told.
     changed: bool
 
+    free_contact: ContactState  # one of which nothing is known
+
     # Worked with: normals of active contacts, orthogonal.
     axes: Annotated[Matrix, MAX_COLUMNS, 3]
+
+    # Worked with: sum of n n^T of all contacts, its eigenvectors, and a vector [m].
+    spread: Annotated[Matrix, 3, 3]
+    directions: Annotated[Matrix, 3, 3]
+    gap: Annotated[Vector, 3]
 
 
 TASK_LIMITS = record_dtype(TaskLimits)
@@ -153,8 +160,6 @@ class ContactTask:
     limits, states
         One record of `TASK_LIMITS`, and records of `CONTACT_STATE`, shape (r,). `tick` sets
         `bounded_at`.
-    held, locked
-        Whether there is a hold, or a lock.
 
     """
 
@@ -170,7 +175,6 @@ class ContactTask:
         self._guarded = guarded
         self._controls = controller.controls
         self._columns = controller.contacts
-        self._frame = self._controls['frame'][0]
         wanted = self._controls['wanted'][0]
         wanted['rotation'] = np.eye(3)
         self._places = (
@@ -181,7 +185,6 @@ class ContactTask:
             self._columns['wanted'],
             self._columns['alpha_wanted'],
         )
-        self._written: tuple[object, ...] = (None,) * len(self._places)
         self._active = self._columns['answer']['active']
         self._names = config.column_names
         self._leaders = np.array(config.force_columns)
@@ -190,7 +193,8 @@ class ContactTask:
         )
         self._codes = self.states['state']
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
-        self._time = self.limits['time']
+        self._held = self.limits['held']
+        self._locked = self.limits['locked']
         self._changed = self.limits['changed']
         self._linear_ahead = self.limits['linear']['ahead'][0]
         self._angular_ahead = self.limits['angular']['ahead'][0]
@@ -207,14 +211,8 @@ class ContactTask:
         self.limits['linear']['least_lead'] = LEAST_LEAD
         self.limits['angular']['least_lead'] = LEAST_TURN
         self.apply_config(config)
-        self._set_locked(config.sensor.require_push_test)  # at first
-        # No tick waits for numba.
-        state = self.states[0]
-        settings = limits['contacts'][0]
-        contacts.release_contact(state, 0.0, 0.0)
-        contacts.resume_contact(state, 0.0, 0.0)
-        contacts.restart_free_reading(state, settings, 0.0)
-        subtract_free_reading(self._columns[0], state)
+        self.limits['free_contact'] = contacts.FREE_CONTACT
+        self.limits['locked'] = config.sensor.require_push_test  # at first
         self.reset()
 
     def apply_config(self, config: ControllerConfig) -> None:
@@ -237,69 +235,34 @@ class ContactTask:
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
-        self._set_held(False)
+        restart_task(self.limits[0], self._controls[0], self._columns, self.states)
+        self.forget_source()
+
+    def forget_source(self) -> None:
+        """Take what stands in the records for what is wanted; the source's time begins."""
         self._lost_time = 0.0
-        self._time[0] = 0.0
-        self.limits['has_free_readings'] = False
-        self._active[:] = False
-        self._stay_in_place(pressing=False)
+        self._source_time = 0.0
+        self.forget_written()
 
-    def _stay_in_place(self, *, pressing: bool) -> None:
-        """Stay where the arm is, pressing as it does or without contact; seek no contacts."""
-        pressed = self._active.copy()
-        forces = np.zeros(len(self.states))
-        if pressing:
-            forces[pressed] = self._task.alpha_des[pressed]
-        pose = self._take_turns_off(pressed & pressing)
-        position = pose.position_world
-        normals = self._columns['config']['normal'][pressed]
-        for state, normal in zip(self.states[pressed], normals):
-            position -= state['displacement'] * normal
-        self._write_wanted(
-            WantedTask(pose, ZERO_TWIST, ZERO_TWIST, pressed & pressing, forces)
-        )
-        self.states[~pressed] = contacts.FREE_CONTACT
-        self._columns['untared'][~pressed] = 0.0
-        self._columns['speed_bound'][~pressed] = 0.0
-        self._restart_reference(pose, catching_up=False)
-        # Contacts that are kept, from the end of a pause to the next tick.
-        self._kept: Mask | None = None
+    def forget_written(self) -> None:
+        """Write all that the source wants anew: the records ask for something else."""
+        self._task: WantedTask | None = None
+        self._written: tuple[object, ...] = (None,) * len(self._places)
 
-    def _take_turns_off(self, kept: Mask) -> Pose:
-        """Return the arm's pose without the turns of contacts that are kept; end the others."""
-        self.states['turn'][~kept] = 0.0
-        self.states['turn_rate'] = 0.0
-        position = self._frame['position'].copy()
-        rotation = self._frame['rotation'].copy()
-        points = self._columns['config']['point']
-        for turn, point in zip(self.states['turn'][::-1], points[::-1]):
-            if turn.any():
-                position += rotation @ point
-                rotation = Rotation.from_rotvec(-turn).as_matrix() @ rotation
-                position -= rotation @ point
-        return Pose(position, rotation)
-
-    def _restart_reference(self, pose: Pose, *, catching_up: bool) -> None:
-        """Let the reference start at rest from a pose."""
-        limits = self.limits
-        limits['position'] = pose.position_world
-        limits['rotation'] = pose.rotation_world
-        for part in (limits['linear'], limits['angular']):
-            part['velocity'] = 0.0
-            part['ahead'] = 0.0
-        limits['bounded_at'] = -math.inf
-        limits['catching_up'] = catching_up
-        limits['changed'] = True
+    def start_source(self, pose: Pose) -> None:
+        """Let the source begin from a pose at rest, after the task has been restarted."""
+        self.forget_source()
+        self._source.start(pose, self._columns['normal'].copy())
 
     def start_task(self, pose: Pose) -> None:
         """Begin from a pose at rest; a hold ends, a lock does not."""
         self.reset()
-        self._source.start(pose, self._columns['normal'].copy())
+        self.start_source(pose)
 
     def update_wanted_task(self, time: float) -> None:
         """Get what is wanted at a time since the start [s]; see `limit_task`."""
         if self.held or self.locked:
-            self._lost_time += time - float(self._time[0])
+            self._lost_time += time - self._source_time
         else:
             measured = None
             if not self._guarded:
@@ -309,10 +272,7 @@ class ContactTask:
             task = self._source.task_at(time - self._lost_time, measured)
             if task is not self._task:
                 self._write_wanted(task)
-        self._time[0] = time
-        if self._guarded and self._kept is not None:
-            self._return_to_task(self._kept)
-            self._kept = None
+        self._source_time = time
 
     def _is_behind(self) -> bool:
         """Return whether the arm cannot follow: behind, bounded, or a contact is lost."""
@@ -334,9 +294,10 @@ class ContactTask:
     def reference_pose(self) -> Pose:
         """Return where the reference is, which may be behind the task, without its contacts."""
         if not self._guarded:
-            return Pose(*self._task.pose_des)
-        limits = self.limits[0]
-        return Pose(limits['position'].copy(), limits['rotation'].copy())
+            reference: Task | TaskLimits = self._controls['wanted'][0]
+        else:
+            reference = self.limits[0]
+        return Pose(reference['position'].copy(), reference['rotation'].copy())
 
     @property
     def catching_up(self) -> bool:
@@ -376,57 +337,37 @@ class ContactTask:
             if reading
         )
 
+    @property
+    def held(self) -> bool:
+        """Whether there is a hold: pose and forces stay."""
+        return bool(self._held[0])
+
+    @property
+    def locked(self) -> bool:
+        """Whether there is a lock: the arm stays where it is without contact."""
+        return bool(self._locked[0])
+
     def set_hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
-        self._set_held(wanted)
+        hold_task(self.limits[0], self._controls[0], self._columns, self.states, wanted)
         if wanted:
-            self._stay_in_place(pressing=True)
+            self.forget_written()
         else:
-            self.resume_task()
+            self.go_on()
 
     def set_lock(self, wanted: bool) -> None:
         """Stay without contact where the arm is, or starts next; or go on if it is not held."""
-        self._set_locked(wanted)
-        if wanted:
-            self._stay_in_place(pressing=False)
-        elif not self.held:
-            self.resume_task()
+        lock_task(self.limits[0], self._controls[0], self._columns, self.states, wanted)
+        if wanted or self.held:
+            self.forget_written()
+        else:
+            self.go_on()
 
-    def _set_held(self, wanted: bool) -> None:
-        self.held = wanted
-        self.limits['held'] = wanted
-
-    def _set_locked(self, wanted: bool) -> None:
-        self.locked = wanted
-        self.limits['locked'] = wanted
-
-    def resume_task(self) -> Mask:
-        """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
-        threshold = self.limits['config']['contacts']['contact_threshold']
-        felt = self._columns['alpha_meas'] > threshold
-        self._kept = (self._active & felt)[self._leaders]
+    def go_on(self) -> None:
+        """Ask the source anew, after a pause; what it follows was stopped with the arm."""
+        self.forget_written()
         if self._source.follower is not None:
-            self._source.follower.pace = 0.0  # it was stopped with the arm
-        return self._kept
-
-    def _return_to_task(self, kept: Mask) -> None:
-        """Let the reference go from where the arm is to the task; contacts go along normals."""
-        normals = self._columns['config']['normal']
-        pose = self._take_turns_off(kept)
-        gap = pose.position_world - self._task.pose_des.position_world
-        along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
-        settings = self.limits['config']['contacts'][0]
-        for state, column, place, is_kept in zip(
-            self.states, self._columns, along.tolist(), kept
-        ):
-            if is_kept:
-                contacts.resume_contact(state, column['alpha_meas'], place)
-            else:
-                contacts.release_contact(state, place, 0.0)
-                contacts.restart_free_reading(state, settings, column['alpha_meas'])
-                subtract_free_reading(column, state)
-        position = pose.position_world - along @ normals
-        self._restart_reference(Pose(position, pose.rotation_world), catching_up=True)
+            self._source.follower.pace = 0.0
 
     def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -448,6 +389,177 @@ class ContactTask:
             for name, column, is_chosen in zip(self._names, self._columns, chosen)
             if is_chosen
         }
+
+
+@compiled
+def restart_reference(limit: TaskLimits, catching_up: bool) -> None:
+    """Let the reference start at rest from where it has been put."""
+    for part in (limit.linear, limit.angular):
+        part.velocity[:] = 0.0
+        part.ahead[:] = 0.0
+    limit.bounded_at = -np.inf
+    limit.catching_up = catching_up
+    limit.changed = True
+
+
+@compiled
+def take_turns_off(
+    frame: Frame,
+    columns: Records[Contact],
+    states: Records[ContactState],
+    position: Vector,
+    rotation: Matrix,
+) -> None:
+    """Fill in the arm's pose without the turns of contacts that are `kept`; end the others."""
+    position[:] = frame.position
+    rotation[:] = frame.rotation
+    for i in range(columns.shape[0] - 1, -1, -1):
+        state = states[i]
+        state.turn_rate[:] = 0.0
+        if not state.kept:
+            state.turn[:] = 0.0
+        if dot(state.turn, state.turn) > 0.0:
+            point = columns[i].config.point
+            add_vector(position, rotate_vector(rotation, point))
+            back = linear_combination(-1.0, state.turn, 0.0, state.turn)
+            turn_rotation_by_vector(back, rotation)
+            add_scaled_vector(position, -1.0, rotate_vector(rotation, point))
+
+
+@compiled
+def stay_in_place(
+    limit: TaskLimits,
+    control: Control,
+    columns: Records[Contact],
+    states: Records[ContactState],
+    pressing: bool,
+) -> None:
+    """Stay where the arm is, pressing as it does or without contact; seek no contacts."""
+    wanted = control.wanted
+    for i in range(columns.shape[0]):
+        column = columns[i]
+        states[i].kept = pressing and column.answer.active
+        column.wanted = states[i].kept
+        if not states[i].kept:
+            column.alpha_wanted = 0.0
+    take_turns_off(control.frame, columns, states, wanted.position, wanted.rotation)
+    wanted.twist[:] = 0.0
+    wanted.acceleration[:] = 0.0
+    for i in range(columns.shape[0]):
+        column, state = columns[i], states[i]
+        if column.answer.active:
+            told = column.config.normal
+            add_scaled_vector(wanted.position, -state.displacement, told)
+        else:
+            states[i] = limit.free_contact
+            column.untared = 0.0
+            column.speed_bound = 0.0
+    limit.position[:] = wanted.position
+    limit.rotation[:] = wanted.rotation
+    limit.returning = False
+    restart_reference(limit, False)
+
+
+@compiled
+def restart_task(
+    limit: TaskLimits,
+    control: Control,
+    columns: Records[Contact],
+    states: Records[ContactState],
+) -> None:
+    """Let all contacts start anew, free, from where the arm is; a hold ends, a lock does not."""
+    limit.held = False
+    limit.time = 0.0
+    limit.has_free_readings = False
+    for i in range(columns.shape[0]):
+        columns[i].answer.active = False
+    stay_in_place(limit, control, columns, states, False)
+
+
+@compiled
+def hold_task(
+    limit: TaskLimits,
+    control: Control,
+    columns: Records[Contact],
+    states: Records[ContactState],
+    wanted: bool,
+) -> None:
+    """Stay where the arm is and press as it does, or go on from there."""
+    limit.held = wanted
+    if wanted:
+        stay_in_place(limit, control, columns, states, True)
+    else:
+        resume_task(limit, columns, states)
+
+
+@compiled
+def lock_task(
+    limit: TaskLimits,
+    control: Control,
+    columns: Records[Contact],
+    states: Records[ContactState],
+    wanted: bool,
+) -> None:
+    """Stay without contact where the arm is, or starts next; or go on if it is not held."""
+    limit.locked = wanted
+    if wanted:
+        stay_in_place(limit, control, columns, states, False)
+    elif not limit.held:
+        resume_task(limit, columns, states)
+
+
+@compiled
+def resume_task(
+    limit: TaskLimits, columns: Records[Contact], states: Records[ContactState]
+) -> None:
+    """Go on from where the arm is; contacts are `kept` that are pressed and felt."""
+    threshold = limit.config.contacts.contact_threshold
+    for i in range(columns.shape[0]):
+        leader = columns[columns[i].config.leader]
+        states[i].kept = leader.answer.active and leader.alpha_meas > threshold
+    limit.returning = True
+
+
+@compiled
+def _return_to_task(
+    limit: TaskLimits,
+    control: Control,
+    columns: Records[Contact],
+    states: Records[ContactState],
+) -> None:
+    """
+    Let the reference go from where the arm is to the task; contacts go along their normals.
+
+    The gap g between them is shared out by the displacements d of least |d|, sum d_i n_i = P g:
+    d_i = n_i (sum n n^T)^+ g.
+    """
+    settings = limit.config.contacts
+    gap, spread, directions = limit.gap, limit.spread, limit.directions
+    take_turns_off(control.frame, columns, states, limit.position, limit.rotation)
+    between = vector_between(control.wanted.position, limit.position)
+    spread[:] = 0.0
+    for i in range(columns.shape[0]):
+        normal = columns[i].config.normal
+        for j in range(3):
+            add_scaled_vector(spread[j], normal[j], normal)
+    diagonalise(spread, directions)
+    gap[:] = 0.0
+    for j in range(3):
+        if spread[j, j] > PARALLEL:
+            direction = directions[:, j]
+            add_scaled_vector(gap, dot(direction, between) / spread[j, j], direction)
+    for i in range(columns.shape[0]):
+        column, state = columns[i], states[i]
+        place = dot(column.config.normal, gap)
+        if state.kept:
+            contacts.resume_contact(state, column.alpha_meas, place)
+        else:
+            contacts.release_contact(state, place, 0.0)
+            contacts.restart_free_reading(state, settings, column.alpha_meas)
+            subtract_free_reading(column, state)
+        add_scaled_vector(limit.position, -place, column.config.normal)
+    limit.returning = False
+    restart_reference(limit, True)
 
 
 @compiled
@@ -482,6 +594,8 @@ def limit_task(
             columns[i].answer.active = columns[i].wanted
             columns[i].answer.alpha_des = columns[i].alpha_wanted
         return False
+    if limit.returning:
+        _return_to_task(limit, control, columns, states)
     limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
     catching_up = _advance_reference(limit, frame, task)
     for i in range(columns.shape[0]):

@@ -198,6 +198,8 @@ class ContactState(Record, Protocol):
     turn: Annotated[Vector, 3]
     turn_rate: Annotated[Vector, 3]
 
+    kept: bool  # whether it stays pressed while the arm stays, or goes on after a pause
+
 
 CONTACT_STATE = record_dtype(ContactState)
 

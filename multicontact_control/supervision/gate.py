@@ -230,6 +230,56 @@ def pass_gate(
     return enforced
 
 
+@compiled
+def start_blend(gate: GateState) -> None:
+    """Let the next torque be the one that acts: what is commanded is about to jump."""
+    gate.pending = gate.begun
+    gate.blending = False
+    gate.fading = False
+
+
+@compiled
+def cancel_blend(gate: GateState) -> None:
+    """
+    Let the rest of a commanded change fade fast.
+
+    No answer of a guarded law has the number 0, so the next one counts as another law.
+    """
+    if gate.pending or gate.blending:
+        gate.pending = False
+        gate.blending = False
+        gate.fading = False
+        gate.law = 0
+
+
+@compiled
+def begin_torque(gate: GateState, joints: Records[Joint], torque: Vector) -> None:
+    """Go over from a torque, shape (n,) [N m], that acts before the first tick, within limits."""
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        limit = joint.config.torque_limit
+        added = joint.drive_gravity_torque
+        joint.gate.commanded_torque = min(max(torque[j], added - limit), added + limit)
+    gate.begun = True
+    start_blend(gate)
+
+
+@compiled
+def update_added_torque(joints: Records[Joint], added: Vector) -> None:
+    """
+    Take in what the drives add to a command, which changes the torque that acts.
+
+    `added` has shape (n,) [N m]; what is not finite changes nothing.
+    """
+    for j in range(joints.shape[0]):
+        if not np.isfinite(added[j]):
+            return
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        joint.gate.commanded_torque += added[j] - joint.drive_gravity_torque
+        joint.drive_gravity_torque = added[j]
+
+
 @lru_cache(maxsize=256)  # a run meets few of them
 def limit_names(found: int) -> tuple[str, ...]:
     """Return the names of the limits that a tick has enforced."""
@@ -260,11 +310,9 @@ class TorqueGate:
     def __init__(
         self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True
     ) -> None:
-        self._arm = arm
         self._joints = arm.joints
         self.records: Records[GateState] = np.zeros(1, dtype=GATE_STATE)
         self._gate = self.records[0]
-        self._begun = self.records['begun']
         settings = self.records['config']
         settings['guarded'] = guarded
         settings['period'] = config.period
@@ -276,9 +324,6 @@ class TorqueGate:
         joints['gate_speed'] = config.limits.joint_speed or np.inf
         self.last: Vector = self._joints['gate']['commanded_torque']
         self.apply_config(config.transition)
-        self.reset()
-        # Compile the kernel now, so that no tick waits for it, and forget what that torque leaves.
-        self.apply_torque(-1, np.zeros(len(self._joints)))
         self.reset()
 
     def apply_config(self, transition: TransitionConfig) -> None:
@@ -292,53 +337,10 @@ class TorqueGate:
         for name in ('begun', 'ranged', 'law', 'pending', 'blending', 'fading'):
             self._gate[name] = 0
 
-    @property
-    def begun(self) -> bool:
-        """Whether there is a torque that acts."""
-        return bool(self._begun[0])
-
-    def begin_from(self, torque: Vector) -> None:
-        """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
-        limit = self._joints['config']['torque_limit']
-        added = self._joints['drive_gravity_torque']
-        self.last[:] = np.clip(torque, added - limit, added + limit)
-        self._gate['begun'] = True
-        self.start_blend()
-
     def start_blend(self) -> None:
         """Let the next torque be the one that acts: what is commanded is about to jump."""
-        self._gate['pending'] = self._gate['begun']
-        self._gate['blending'] = self._gate['fading'] = False
-
-    def cancel_blend(self) -> None:
-        """
-        Let the rest of a commanded change fade fast.
-
-        No answer of a guarded law has the number 0, so the next one counts as another law.
-        """
-        if self._gate['pending'] or self._gate['blending']:
-            for name in ('pending', 'blending', 'fading', 'law'):
-                self._gate[name] = 0
+        start_blend(self._gate)
 
     def update_added_torque(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
-        self.last += added - self._joints['drive_gravity_torque']
-        self._joints['drive_gravity_torque'] = added
-
-    def apply_torque(self, law: int, torque: Vector, *, seen: bool = True) -> int:
-        """
-        Let a torque, shape (n,) [N m], through to `last`; return the `LIMITS` enforced.
-
-        `law` is that of `number_of_law`, or a negative number for a reaction; `seen` says whether
-        the joints are known now.
-        """
-        self._joints['answer']['torque'] = torque
-        self._gate['seen'] = seen
-        return pass_gate(
-            self._gate,
-            self._joints,
-            self._arm.controls[0],
-            self._arm.contacts,
-            self._arm.robot.terms,
-            law,
-        )
+        update_added_torque(self._joints, added)

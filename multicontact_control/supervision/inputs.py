@@ -3,7 +3,7 @@ The input stage: what has come in at a tick, made valid, by one compiled call.
 
 A reading of joints, wrench or R is checked for its stamp, its shape, its numbers and the reading
 before it; a wrench is low-passed, too. A reading that fails counts as not received: the newest
-valid one stands in for it, and calls for a reaction (`checks.choose_severest_reaction`)
+valid one stands in for it, and calls for a reaction (`causes.choose_severest_reaction`)
 once it is too old.
 
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
@@ -23,13 +23,17 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
+from multicontact_control.supervision.causes import (
+    find_input_causes,
+    name_causes,
+    PROBLEMS,
+)
 from multicontact_control.supervision.input_checks import (
     ABSENT,
     check_inputs,
     EFFORT_ALWAYS_ZERO,
     EFFORT_MISSING,
     EFFORT_NOT_FINITE,
-    EFFORT_USABLE,
     FINE,
     InputSettings,
     INVALID,
@@ -42,19 +46,6 @@ from multicontact_control.supervision.input_checks import (
 from multicontact_control.supervision.velocities import HISTORY_STATES, PROOF_STATES
 import numpy as np
 
-PARTS = (*READINGS, 'clock')
-PROBLEMS = (  # by their numbers in `input_checks`
-    '',
-    'invalid',
-    'jump',
-    'frozen',
-    'saturated',
-    'stamp',
-    'backwards',
-    'rate',
-    'velocity',
-    'outlier',
-)
 EFFORT_FAULTS = ('', 'missing', 'not finite', 'constantly 0')
 NOT_THERE: Any = object()  # stands for numbers that have not come
 MALFORMED = (TypeError, ValueError, OverflowError)  # numpy's, of what are no numbers
@@ -109,10 +100,6 @@ class InputVerdict(NamedTuple):
     causes: tuple[str, ...] = ()  # of a reaction
     rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick
     joints_known: bool = True  # whether any joint state was ever valid
-    blind: bool = False  # whether joints were invalid in this tick and the one before
-    wrench_is_current: bool = True  # whether the wrench is of this tick
-    skipped_samples: int = 0  # that are missing before this tick
-    velocities_refuted: bool = False  # whether motion has not proven them since
     efforts_unusable: bool = False  # whether those of some joints are, for a while
 
 
@@ -142,6 +129,8 @@ class Inputs:
 
     Attributes
     ----------
+    stages
+        One record of `INPUT_STAGE`.
     raw_wrench, filtered_wrench
         The newest wrench that is no outlier, before and behind the low-pass, shape (6,) [N, N m].
 
@@ -157,7 +146,7 @@ class Inputs:
         joints, contacts = controller.arm.joints, controller.contacts
         joint_count = len(joints)
         stage = make_input_stage(config, controller.robot.turning, guarded=guarded)
-        self.stage = stage
+        self.stages = stage
         self._initial_stage = stage.copy()
         self._initial_variance = config.initial_noise_variance
         self._by_momentum = config.wrench_input == 'momentum'
@@ -197,21 +186,12 @@ class Inputs:
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
-        self.stage[:] = self._initial_stage
+        self.stages[:] = self._initial_stage
         self._variance[:] = self._initial_variance
         for name in ('residual', 'dynamic_threshold', 'effort_uncertainty'):
             self._joints['watch'][name] = 0
         self._momentum['elapsed'] = 0.0
         self._momentum['collided'] = False
-
-    @property
-    def measured_effort(self) -> Vector:
-        """Torques of the newest joint state, NaN where they say nothing, shape (n,) [N m]."""
-        usable = self._joints['watch']['effort_fault'] == EFFORT_USABLE
-        effort: Vector = np.where(
-            usable & (self._effort != 0.0), self._effort, math.nan
-        )
-        return effort
 
     @property
     def joints_without_effort(self) -> dict[str, tuple[int, ...]]:
@@ -243,10 +223,9 @@ class Inputs:
     def _name_problem(self, part: str) -> str:
         """Return what is wrong with a part, `stale` where nothing valid has come for too long."""
         finding = self._found[part]
-        problem = PROBLEMS[max(finding['problem'], FINE)]
-        if finding['stale'] and not problem:
-            return 'stale'
-        return problem
+        if finding['problem'] <= FINE and not finding['stale']:
+            return ''
+        return PROBLEMS[max(finding['problem'], FINE)]
 
     @property
     def velocities_refuted(self) -> bool:
@@ -260,12 +239,6 @@ class Inputs:
         if np.isfinite(contradiction[worst]):
             self._tracks['velocity_probation'][worst] = PROOF_STATES
             self._velocities['on_probation'] = True
-
-    @property
-    def estimated_velocity(self) -> Vector:
-        """Velocities estimated from the positions, shape (n,) [rad/s]."""
-        rate: Vector = self._tracks['v_tracked'].copy()
-        return rate
 
     @property
     def joint_history(self) -> tuple[Matrix, Vector]:
@@ -338,30 +311,22 @@ class Inputs:
 
     def _wrench_of_torques(self, joints: JointInput | None) -> WrenchInput | None:
         """Return the wrench that the momentum observer finds; it takes some samples to begin."""
-        settings: InputSettings = self.stage['settings'][0]
+        settings: InputSettings = self.stages['settings'][0]
         if joints is None or self._state['unknown'] > settings['commands'] + 1:
             return None
         return WrenchInput(joints.stamp, self._wrench)
 
     def _report_faults(self) -> InputVerdict:
         """Return what was found of a tick that is not as it should be."""
-        found = self._found
-        causes = []
         rejected = []
-        for part in PARTS:
-            problem = self._name_problem(part)
-            if found[part]['stale']:
-                causes.append(f'{part}_{problem}')
-            if found[part]['problem'] > FINE and part in READINGS:
-                rejected.append(f'{part}_{problem}')
+        for part in READINGS:
+            finding = self._found[part]
+            if finding['problem'] > FINE:
+                rejected.append(f'{part}_{PROBLEMS[finding["problem"]]}')
         unusable = self._torques['unusable_samples'] >= REPORTED
         return InputVerdict(
-            tuple(causes),
+            name_causes(find_input_causes(self._found)),
             tuple(rejected),
             joints_known=bool(self._state['known']),
-            blind=bool(found['blind']),
-            wrench_is_current=bool(found['wrench']['problem'] == FINE),
-            skipped_samples=int(found['skipped']),
-            velocities_refuted=self.velocities_refuted,
             efforts_unusable=bool(unusable.any()),
         )

@@ -1,37 +1,60 @@
-"""What takes the place of the control law: after a fault, after a deactivation, and how long."""
+"""
+The torques that take the place of the control law: after a fault, and after a deactivation.
+
+All but `zero_torque` carry the arm once its joints were known.
+`hold`: see `hold_torque`; q_0 is where it began, of holds one soon after another where the first
+one began, and it goes there slowly. It is as stiff as the motion law. If that makes a joint shake,
+it gets softer, and stays so: behind springs rotors swing that the model does not have, above all
+with velocities that are late, being made up from positions.
+`damp`: Gamma = C v + g - c diag(M) v. `float`, where the joint state is not known: gravity of the
+last posture, and the last motion brought to rest open loop.
+
+An arm that lets go of what it presses on is pushed away by it, so `hold` and `float` add
+J^T N alpha of the contacts that were held. Each keeps its force while it is felt; the force of one
+that is not felt any more is dropped within 20 ms; it fades while the wrench is unknown.
+"""
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Annotated, Protocol
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.algebra import dot, multiply_vector
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.supervision import RELEASE_FORCE
-from multicontact_control.control.arm import ArmState
-from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.operational_space import (
     compute_mobility_and_inertia,
-    INERTIA_SPACE,
     InertiaSpace,
 )
-from multicontact_control.records import Records, Task
+from multicontact_control.dynamics.terms import ModelTerms
+from multicontact_control.records import (
+    Contact,
+    Control,
+    Joint,
+    MAX_COLUMNS,
+    MAX_JOINTS,
+    Record,
+    record_dtype,
+    Records,
+    Task,
+)
+from multicontact_control.supervision.causes import (
+    TO_DAMP,
+    TO_FLOAT,
+    TO_HOLD,
+    TO_SAFE,
+)
 from multicontact_control.supervision.velocities import (
     OFFSET_TOLERANCE,
     SHARE_TOLERANCE,
 )
 import numpy as np
 
-NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
-SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
-# The safe behaviour after a deactivation, which is no reaction to a fault.
-SAFE = 'safe'
-# By which the gate tells what answers; a control law has a positive number.
-NUMBERS = {NONE: -1, INFLATE: -2, HOLD: -3, FLOAT: -4, DAMP: -5, SAFE: -6}
 SAFE_BEHAVIOURS = {
-    'hold_position': HOLD,
-    'gravity_compensation': DAMP,
-    'zero_torque': SAFE,
+    'hold_position': TO_HOLD,
+    'gravity_compensation': TO_DAMP,
+    'zero_torque': TO_SAFE,
 }
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 # 1/s, of `damp` and gravity compensation: joint damping over inertia.
@@ -53,404 +76,383 @@ UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlike
 SWING = 0.05
 TURN_TIME = 0.15
 TURNS = 4.0
-DIRECTION, EXTREME, TURNED = range(3)  # rows of what is known of swings
 AHEAD = 0.2  # of v / w, by which an arm in motion is held ahead of where a hold begins
 # rad/s of each joint, at which a hold goes back to where the first one began.
 RETURN_SPEED = 0.05
 RETURN_WAY = 0.05  # rad of a joint, beyond which it has gone somewhere else
-# m or rad of the reference since then, beyond which it was led elsewhere.
+# m, or of an axis of the reference since then, beyond which it was led elsewhere.
 COMMANDED_WAY = 5e-3
 FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
-DROPPED = 1e-3  # N m in every joint, below which that counts as done
-
-# Two reactions that take turns: so many changes, each forgotten within FLICKER_TIME [s], and the
-# severer one stays until nothing has called for it over CALM_TIME [s].
-FLICKERS = 3.5
-FLICKER_TIME = 1.0
-CALM_TIME = 0.5
-
-# Causes of a control that has not resumed yet.
-RECOVERING = 'recovering'
-LATCHED = 'latched'
-WAITING = (RECOVERING,), (LATCHED,)
-RELAPSE_TIME = 5.0  # s after control has resumed, in which a reaction is a relapse
-SOON = 1.0  # s, the same where readings are missing, which come and go by chance
-# In a row, of what the arm does or meets, after which control waits for an operator.
-RELAPSES = 3
-LONGEST_RECOVERY = 2.0  # s that all must be well, at most
-GROWTH = 3.0  # of the time that all must be well, from relapse to relapse
-# What comes from what the arm does and meets, and not from readings that are missing.
-PHYSICAL = (
-    'motion',
-    'law',
-    'internal',
-    'joints_velocity',
-    'wrench_pull',
-    'wrench_stray',
-    'wrench_sideways',
-    'wrench_saturated',
-    'collision',
-)
+DROPPED = 1e-2  # N of a contact, below which that counts as done
 
 
-def hold_torque(
-    arm: ArmState, way: Vector, velocity: Vector, frequency: float, damping: float
-) -> Vector:
+class HeldJoint(Record, Protocol):
+    """One joint of an arm that a reaction holds, and how its velocity goes up and down."""
+
+    posture: float  # q_0, to which the joint is held [rad]
+    first: float  # the same where the first of several holds began [rad]
+
+    # Where its velocity goes, 1 or -1, the extreme on that way [rad/s], and how often it has
+    # turned round, which fades.
+    direction: float
+    extreme: float
+    turns: float
+
+    way: float  # q_0 - q [rad]
+    rate: float  # v: made up for by positions, then the one that damps the hold [rad/s]
+
+    # a(w_0, 1), and what a(w, d) is beyond that; see `hold_torque` [rad/s^2].
+    soft: float
+    stiffer: float
+
+    torque: float  # that answers instead of the law [N m]
+
+
+class PressedContact(Record, Protocol):
+    """The force with which one contact goes on being pressed."""
+
+    alpha: float  # of the law's newest answer, and of the reaction since [N]
+
+
+class ReactionState(Record, Protocol):
+    """What the reactions are set to, and what they remember; one."""
+
+    period: float  # h [s]
+    safe_behaviour: (
+        int  # TO_HOLD, TO_DAMP or TO_SAFE: what answers after a deactivation
+    )
+    stiffest: float  # natural frequency of a hold that does not shake [rad/s]
+
+    # Natural frequency [rad/s] and damping ratio of the hold.
+    frequency: float
+    damping: float
+
+    settling_time: float  # until the hold may be softened again [s]
+    unlikely_time: float  # for which the velocities are still not used [s]
+    coasting_ticks: int  # in a row that were floated
+    has_posture: bool  # whether a hold is under way
+    has_first: bool  # whether `first` of the joints is known
+    has_reference: bool  # whether the pose is known at which the first hold began
+
+    # That of the task's reference then [m].
+    position: Annotated[Vector, 3]
+    rotation: Annotated[Matrix, 3, 3]
+
+    joints: Annotated[Records[HeldJoint], MAX_JOINTS]
+    contacts: Annotated[Records[PressedContact], MAX_COLUMNS]
+    presses: bool  # whether contacts go on being pressed
+
+    inertia: InertiaSpace  # worked with
+    wrench: Annotated[Vector, 6]  # worked with [N, N m]
+    acceleration: Annotated[Vector, 6]  # worked with [m/s^2, rad/s^2]
+
+
+REACTION_STATE = record_dtype(ReactionState)
+
+
+def configure_reactions(
+    state: Records[ReactionState], config: ControllerConfig
+) -> None:
+    """Set what follows from values that may change while the arm is controlled; one record."""
+    state['period'] = config.period
+    state['safe_behaviour'] = SAFE_BEHAVIOURS[config.safe_behaviour]
+    delay = config.force.input_delay + ESTIMATE_DELAY * config.period
+    stiffest = min(config.motion.natural_frequency, DELAY_SHARE / delay)
+    if stiffest != state['stiffest'][0]:
+        state['stiffest'] = stiffest
+        state['frequency'] = stiffest
+        state['damping'] = 1.0
+
+
+@compiled
+def forget_postures(state: ReactionState) -> None:
+    """Let the next hold be the first one."""
+    state.has_first = False
+    state.has_reference = False
+    end_reaction(state)
+
+
+@compiled
+def end_reaction(state: ReactionState) -> None:
+    """Control has resumed: the next reaction begins anew, and goes back if it comes soon."""
+    state.has_posture = False
+    state.presses = False
+    state.coasting_ticks = 0
+
+
+@compiled
+def remember_forces(state: ReactionState, contacts: Records[Contact]) -> None:
     """
-    Return the torque that holds a posture, shape (n,) [N m].
+    Remember the forces that contacts are held with, for a reaction to go on with.
 
-    Gamma = C v + g + J^T Lambda J a(w, d) + (M - J^T Lambda J) a(w_0, 1), where
-    a(w, d) = w^2 (q_0 - q) - 2 d w v.
-    The operational point is as stiff as under the motion law, M w^2 with six joints; what it does
-    not see stays softer: with M w^2 there, the rotors behind flexible drives would swing.
+    Each is the estimated force, between 0 and the desired one; a couple may have either sign.
+    """
+    for i in range(contacts.shape[0]):
+        answer = contacts[i].answer
+        most = abs(answer.alpha_des)
+        least = 0.0
+        if contacts[i].config.leader != i:
+            least = -most
+        state.contacts[i].alpha = 0.0
+        if answer.active:
+            state.contacts[i].alpha = min(max(answer.alpha_est, least), most)
+
+
+@compiled
+def return_to_first_hold(state: ReactionState, task: Task) -> None:
+    """Let a hold that begins be the first one, unless the arm was not led on since that."""
+    if state.has_reference:
+        led = 0.0
+        for i in range(3):
+            led = max(led, abs(task.position[i] - state.position[i]))
+            for j in range(3):
+                led = max(led, abs(task.rotation[i, j] - state.rotation[i, j]))
+        if led <= COMMANDED_WAY:
+            return
+    forget_postures(state)
+    state.has_reference = True
+    state.position[:] = task.position
+    state.rotation[:] = task.rotation
+
+
+@compiled
+def presses_contact(state: ReactionState) -> bool:
+    """Return whether a contact is still pressed, since the law held it."""
+    if not state.presses:
+        return False
+    for contact in state.contacts:
+        if abs(contact.alpha) > DROPPED:
+            return True
+    return False
+
+
+@compiled
+def fill_reaction_torque(
+    state: ReactionState,
+    reaction: int,
+    joints: Records[Joint],
+    control: Control,
+    contacts: Records[Contact],
+    terms: ModelTerms,
+    wrench_known: bool,
+    timed: bool,
+) -> None:
+    """
+    Fill in `torque` of the joints in `state`: what answers instead of the law.
 
     Parameters
     ----------
-    arm
-        The arm, for C v + g, M and J, and for how Lambda is damped near singularities.
-    way, velocity
-        q_0 - q [rad] and v [rad/s], shape (n,).
-    frequency, damping
-        w [rad/s] and d.
+    state
+        A record of `REACTION_STATE`; `rate` of its joints has the velocities that positions make
+        up for [rad/s].
+    reaction
+        TO_HOLD, TO_FLOAT, TO_DAMP or TO_SAFE.
+    joints, control, contacts, terms
+        The arm where it was seen last.
+    wrench_known
+        Whether the forces of the contacts are of this sample.
+    timed
+        Whether the clock is right. Where it is wrong, velocities that positions make up for are of
+        another size, and a hold is soft.
 
     """
-    least = min(frequency, FREE_FREQUENCY)
-    free = least**2 * way - 2.0 * least * velocity
-    terms = arm.robot.terms
-    upper = np.triu(terms.mass_matrix)
-    torque: Vector = arm.bias_torque + (upper + np.triu(upper, 1).T) @ free
-    inertia: InertiaSpace = np.zeros(1, dtype=INERTIA_SPACE)[0]
-    singular, _ = compute_mobility_and_inertia(
-        terms.mass_matrix,
-        terms.jacobian,
-        arm.controls['law']['singular_mobility'][0],
-        inertia,
-    )
-    if singular < 0.0:
-        return torque
-    stiffer = frequency**2 * way - 2.0 * damping * frequency * velocity - free
-    torque += terms.jacobian.T @ (inertia['Lambda'] @ (terms.jacobian @ stiffer))
-    return torque
+    n = joints.shape[0]
+    held = state.joints[:n]
+    state.coasting_ticks += 1
+    if reaction != TO_FLOAT:
+        state.coasting_ticks = 0
+    behaviour = reaction
+    if reaction == TO_SAFE:
+        behaviour = state.safe_behaviour
+    if behaviour == TO_DAMP:
+        forget_postures(state)  # it may be moved away
+        for j in range(n):
+            damping = DAMPING_RATE * joints[j].inertia
+            held[j].torque = joints[j].bias_torque - damping * joints[j].velocity
+        return
+    if behaviour == TO_SAFE:
+        # Zero is what is commanded: what the drives add goes on acting.
+        forget_postures(state)
+        for j in range(n):
+            held[j].torque = joints[j].drive_gravity_torque
+        return
+    if behaviour == TO_HOLD:
+        hold_posture(state, held, joints, control, terms, timed)
+    else:
+        float_arm(state, held, joints, terms)
+    if state.presses:
+        press_on(state, held, contacts, terms, wrench_known)
 
 
-def count_reversals(rate: Vector, swings: Matrix, keep: float) -> float:
-    """
-    Take in velocities, shape (n,) [rad/s]; return how often the joint that turned most has turned.
+@compiled
+def float_arm(
+    state: ReactionState,
+    held: Records[HeldJoint],
+    joints: Records[Joint],
+    terms: ModelTerms,
+) -> None:
+    """Fill in the torque that carries the arm as it was seen last, and brings it to rest."""
+    n = joints.shape[0]
+    mass_matrix = terms.mass_matrix
+    state.has_posture = False  # wherever it has gone meanwhile
+    coasting_time = state.coasting_ticks * state.period
+    if coasting_time > COAST_TIME:
+        state.has_first = False
+    rate = np.exp(-coasting_time / COAST_TIME) / COAST_TIME
+    for i in range(n):
+        held[i].torque = terms.gravity[i]
+        for j in range(n):
+            mass = mass_matrix[min(i, j), max(i, j)]
+            held[i].torque -= rate * mass * joints[j].velocity
 
-    `swings` has the rows above, shape (3, n), and is changed; `keep` is what is left of the count.
-    """
-    beyond = (rate - swings[EXTREME]) * swings[DIRECTION]
-    turns = beyond < -SWING
-    goes_on = beyond >= 0.0
-    swings[EXTREME] = np.where(turns | goes_on, rate, swings[EXTREME])
-    swings[DIRECTION] = np.where(turns, -swings[DIRECTION], swings[DIRECTION])
-    swings[TURNED] = keep * swings[TURNED] + turns
-    return float(swings[TURNED].max())
 
-
-class Reactions:
-    """
-    The torques of the reactions and of the safe behaviour.
-
-    All but `zero_torque` carry the arm once its joints were known.
-    `hold`: see `hold_torque`; q_0 is where it began, of holds one soon after another where the
-    first one began, and it goes there slowly. It is as stiff as the motion law. If that makes a
-    joint shake, it gets softer, and stays so: behind springs rotors swing that the model does not
-    have, above all with velocities that are late, being made up from positions.
-    `damp`: Gamma = C v + g - c diag(M) v. `float`, where the joint state is not known: gravity of
-    the last posture, and the last motion brought to rest open loop.
-
-    An arm that lets go of what it presses on is pushed away by it, so `hold` and `float` add
-    J^T N alpha of the contacts that were held. Each keeps its force while it is felt; the force
-    of one that is not felt any more is dropped within 20 ms; it fades while the wrench is unknown.
-    """
-
-    def __init__(self, config: ControllerConfig, controller: Controller) -> None:
-        self._period = config.period
-        self._robot = controller.robot
-        self._contacts = controller.contacts
-        self._added: Vector = controller.arm.joints['drive_gravity_torque']
-        self._task: Records[Task] = controller.controls['task']
-        self._swings: Matrix = np.zeros((3, self._robot.joint_count))
-        self._begin_swings()
-        self._keep_turns = math.exp(-config.period / TURN_TIME)
-        self._stiffest = math.nan
-        self._settling_time = 0.0
-        self._unlikely_time = 0.0
-        self.apply_config(config)
-        self.forget_postures()
-        velocity = controller.arm.velocity  # no tick is to wait for numba
-        self._hold_posture(controller.arm, velocity)
-        self.forget_postures()
-
-    def apply_config(self, config: ControllerConfig) -> None:
-        """Set what follows from values that may change while the arm is controlled."""
-        self.safe_behaviour = config.safe_behaviour
-        delay = config.force.input_delay + ESTIMATE_DELAY * config.period
-        stiffest = min(config.motion.natural_frequency, DELAY_SHARE / delay)
-        if stiffest != self._stiffest:
-            self._stiffest = stiffest
-            self._frequency = stiffest
-            self._damping = 1.0
-
-    def forget_postures(self) -> None:
-        """Let the next hold be the first one."""
-        self._first: Vector | None = None  # posture in which that began
-        self._reference: Vector | None = None  # of the task then
-        self.end_reaction()
-
-    def end_reaction(self) -> None:
-        """Control has resumed: the next reaction begins anew, and goes back if it comes soon."""
-        self._posture: Vector | None = None
-        # J^T N_i alpha_i of each contact, shape (n, r).
-        self._pressing: Matrix | None = None
-        self._coasting_ticks = 0
-
-    def begin_pressing(self, answered: ControlOutput) -> None:
-        """
-        Go on pressing with the forces of the contacts that were held at an answer.
-
-        Each is the estimated force, between 0 and the desired one; a couple may have either sign.
-        """
-        contacts = answered.contacts
-        answer = contacts['answer']
-        is_couple = contacts['config']['leader'] != np.arange(len(contacts))
-        most = np.abs(answer['alpha_des'])
-        least = np.where(is_couple, -most, 0.0)
-        forces = np.clip(answer['alpha_est'], least, most)
-        alpha = np.where(answer['active'], forces, 0.0)
-        self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
-
-    def keep_present_hold(self) -> None:
-        """Let the next hold be the first one, and the present one go on."""
-        self._reference = None
-
-    def return_to_first_hold(self) -> None:
-        """Let a hold that begins be the first one, unless the arm was not led on since that."""
-        position, rotation = self._task['position'][0], self._task['rotation'][0]
-        reference = np.concatenate([position, rotation.ravel()])
-        if self._reference is not None:
-            if np.abs(reference - self._reference).max() <= COMMANDED_WAY:
-                return
-        self.forget_postures()
-        self._reference = reference
-
-    @property
-    def presses_contact(self) -> bool:
-        """Whether a contact is still pressed, since the law held it."""
-        if self._pressing is None:
-            return False
-        return bool((np.abs(self._pressing) > DROPPED).any())
-
-    def reaction_torque(
-        self,
-        reaction: str,
-        arm: ArmState | None,
-        wrench_known: bool,
-        rate: Vector,
-        *,
-        timed: bool = True,
-    ) -> Vector:
-        """
-        Return what answers instead of the law, shape (n,) [N m].
-
-        `wrench_known` as of now; `rate` has the velocities that positions make up for, [rad/s],
-        which are of another size where the clock is wrong: not `timed`, a hold is soft.
-        """
-        self._coasting_ticks += 1
-        if reaction != FLOAT:
-            self._coasting_ticks = 0
-        if arm is None:
-            return np.zeros(self._robot.joint_count)
-        behaviour = reaction
-        if reaction == SAFE:
-            behaviour = SAFE_BEHAVIOURS[self.safe_behaviour]
-        if behaviour == DAMP:
-            self.forget_postures()  # it may be moved away
-            return _damping_torque(arm, DAMPING_RATE)
-        if behaviour == SAFE:
-            # Zero is what is commanded: what the drives add goes on acting.
-            self.forget_postures()
-            return self._added.copy()
-        pressing = self._pressing_torque(wrench_known)
-        if behaviour == HOLD:
-            return self._hold_posture(arm, rate, timed=timed) + pressing
-        self._posture = None  # wherever it has gone meanwhile
-        coasting_time = self._coasting_ticks * self._period
-        if coasting_time > COAST_TIME:
-            self._first = None
-        fade = math.exp(-coasting_time / COAST_TIME)
-        state = self._robot.update(arm.q, arm.velocity)
-        braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
-        floating: Vector = state.gravity - braking + pressing
-        return floating
-
-    def _hold_posture(
-        self, arm: ArmState, rate: Vector, *, timed: bool = True
-    ) -> Vector:
-        """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
-        if self._posture is None:
+@compiled
+def hold_posture(
+    state: ReactionState,
+    held: Records[HeldJoint],
+    joints: Records[Joint],
+    control: Control,
+    terms: ModelTerms,
+    timed: bool,
+) -> None:
+    """Fill in the torque that keeps the arm where it is, or leads it back."""
+    n = joints.shape[0]
+    if not state.has_posture:
+        state.has_posture = True
+        for j in range(n):
+            held[j].posture = joints[j].q
             # It goes on by 0.37 v / w, and comes back: less so if that is allowed for.
-            self._posture = arm.q.copy()
             if timed:
-                self._posture += AHEAD / self._frequency * rate
-            self._begin_swings()
-        if self._first is not None:
-            if np.abs(self._first - self._posture).max() > RETURN_WAY:
-                self._first = None
-        if self._first is None:
-            self._first = self._posture.copy()
-        step = RETURN_SPEED * self._period
-        self._posture += np.clip(self._first - self._posture, -step, step)
-        turns = count_reversals(rate, self._swings, self._keep_turns)
-        self._settling_time = max(self._settling_time - self._period, 0.0)
-        if turns > TURNS and not self._settling_time:
-            self._soften_hold()
+                held[j].posture += AHEAD / state.frequency * held[j].rate
+            held[j].direction = 1.0
+            held[j].extreme = 0.0
+            held[j].turns = 0.0
+    farthest = 0.0
+    for j in range(n):
+        farthest = max(farthest, abs(held[j].first - held[j].posture))
+    if not state.has_first or farthest > RETURN_WAY:
+        state.has_first = True
+        for j in range(n):
+            held[j].first = held[j].posture
+    step = RETURN_SPEED * state.period
+    for j in range(n):
+        back = held[j].first - held[j].posture
+        held[j].posture += min(max(back, -step), step)
+    soften_shaking_hold(state, held)
+    state.unlikely_time -= state.period
+    for j in range(n):
         # What may soon be refuted would push the arm: the estimate damps it already.
-        tolerance = OFFSET_TOLERANCE + SHARE_TOLERANCE * np.abs(rate)
-        self._unlikely_time -= self._period
-        if (np.abs(arm.velocity - rate) > tolerance).any():
-            self._unlikely_time = UNLIKELY_TIME
-        velocity = arm.velocity
-        if self._unlikely_time > 0.0:
-            velocity = rate
-        frequency = self._frequency
-        if not timed:
-            frequency = min(frequency, FREE_FREQUENCY)
-        return hold_torque(
-            arm, self._posture - arm.q, velocity, frequency, self._damping
-        )
+        tolerance = OFFSET_TOLERANCE + SHARE_TOLERANCE * abs(held[j].rate)
+        if abs(joints[j].velocity - held[j].rate) > tolerance:
+            state.unlikely_time = UNLIKELY_TIME
+    for j in range(n):
+        held[j].way = held[j].posture - joints[j].q
+        if state.unlikely_time <= 0.0:
+            held[j].rate = joints[j].velocity
+    frequency = state.frequency
+    if not timed:
+        frequency = min(frequency, FREE_FREQUENCY)
+    hold_torque(state, held, joints, control, terms, frequency)
 
-    def _begin_swings(self) -> None:
-        self._swings[:] = 0.0
-        self._swings[DIRECTION] = 1.0
 
-    def _soften_hold(self) -> None:
-        """Reduce what makes the rotors shake: damping by velocities that come late."""
-        self._settling_time = SETTLING_TIME
-        if self._damping > LESS_DAMPING:
-            self._damping = LESS_DAMPING
-        else:
-            self._frequency = max(
-                SOFTER * self._frequency, min(SOFTEST_HOLD, self._stiffest)
-            )
+@compiled
+def soften_shaking_hold(state: ReactionState, held: Records[HeldJoint]) -> None:
+    """Reduce what makes rotors shake: damping by velocities that come late."""
+    keep = np.exp(-state.period / TURN_TIME)
+    turns = 0.0
+    for j in range(held.shape[0]):
+        count_reversals(held[j], keep)
+        turns = max(turns, held[j].turns)
+    state.settling_time = max(state.settling_time - state.period, 0.0)
+    if turns <= TURNS or state.settling_time > 0.0:
+        return
+    state.settling_time = SETTLING_TIME
+    if state.damping > LESS_DAMPING:
+        state.damping = LESS_DAMPING
+        return
+    softest = min(SOFTEST_HOLD, state.stiffest)
+    state.frequency = max(SOFTER * state.frequency, softest)
 
-    def _pressing_torque(self, wrench_known: bool) -> Vector | float:
-        """Return what is left of the contacts' forces at the next tick, shape (n,) [N m]."""
-        if self._pressing is None:
-            return 0.0
-        keep: Any = math.exp(-self._period / FADE_TIME)
+
+@compiled
+def count_reversals(joint: HeldJoint, keep: float) -> None:
+    """Count how often the velocity of a joint turns; `keep` is what is left of the count."""
+    beyond = (joint.rate - joint.extreme) * joint.direction
+    joint.turns *= keep
+    if beyond < -SWING:
+        joint.direction = -joint.direction
+        joint.turns += 1.0
+    if beyond < -SWING or beyond >= 0.0:
+        joint.extreme = joint.rate
+
+
+@compiled
+def hold_torque(
+    state: ReactionState,
+    held: Records[HeldJoint],
+    joints: Records[Joint],
+    control: Control,
+    terms: ModelTerms,
+    frequency: float,
+) -> None:
+    """
+    Fill in the torque that holds a posture.
+
+    Gamma = C v + g + J^T Lambda J a(w, d) + (M - J^T Lambda J) a(w_0, 1), where
+    a(w, d) = w^2 (q_0 - q) - 2 d w v, `way` is q_0 - q and `rate` is v.
+    The operational point is as stiff as under the motion law, M w^2 with six joints; what it does
+    not see stays softer: with M w^2 there, the rotors behind flexible drives would swing. In a
+    singular posture all of it is as soft.
+
+    `frequency` is w [rad/s]; d is in `state`.
+    """
+    n = joints.shape[0]
+    mass_matrix, jacobian, w = terms.mass_matrix, terms.jacobian, frequency
+    free = min(w, FREE_FREQUENCY)
+    for j in range(n):
+        way, rate = held[j].way, held[j].rate
+        stiff = w**2 * way - 2.0 * state.damping * w * rate
+        held[j].soft = free**2 * way - 2.0 * free * rate
+        held[j].stiffer = stiff - held[j].soft
+    for i in range(n):
+        held[i].torque = joints[i].bias_torque
+        for j in range(n):
+            held[i].torque += mass_matrix[min(i, j), max(i, j)] * held[j].soft
+    damping, _ = compute_mobility_and_inertia(
+        mass_matrix, jacobian, control.law.singular_mobility, state.inertia
+    )
+    if damping < 0.0:
+        return
+    for k in range(6):
+        state.acceleration[k] = 0.0
+        for j in range(n):
+            state.acceleration[k] += jacobian[k, j] * held[j].stiffer
+    multiply_vector(state.inertia.Lambda, state.acceleration, state.wrench)
+    for j in range(n):
+        held[j].torque += dot(jacobian[:, j], state.wrench)
+
+
+@compiled
+def press_on(
+    state: ReactionState,
+    held: Records[HeldJoint],
+    contacts: Records[Contact],
+    terms: ModelTerms,
+    wrench_known: bool,
+) -> None:
+    """Add what is left of the contacts' forces at the next tick."""
+    state.wrench[:] = 0.0
+    for i in range(contacts.shape[0]):
+        pressed = state.contacts[i]
+        fading = FADE_TIME
         if wrench_known:
-            felt: Mask = self._contacts['alpha_meas'] > RELEASE_FORCE
-            felt = felt[self._contacts['config']['leader']]  # a couple with its contact
-            keep = np.where(felt, 1.0, math.exp(-self._period / DROP_TIME))
-        self._pressing = self._pressing * keep
-        total: Vector = self._pressing.sum(axis=1)
-        return total
-
-
-def _damping_torque(arm: ArmState, rate: float) -> Vector:
-    """Return Gamma = C v + g - c diag(M) v, shape (n,) [N m], with c in [1/s]."""
-    torque: Vector = arm.bias_torque - rate * arm.inertia * arm.velocity
-    return torque
-
-
-class ReactionHysteresis:
-    """Keeps to the severer of two reactions that take turns, as with joints that come and go."""
-
-    def __init__(self, period: float) -> None:
-        self._keep = math.exp(-period / FLICKER_TIME)
-        self._calm_ticks_needed = round(CALM_TIME / period)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._before = ''
-        self._severer = ''
-        self._changes = 0.0
-        self._calm_ticks = 0
-
-    def steady_reaction(self, reaction: str) -> str:
-        """Return what answers a tick for which a reaction is called for, the law aside."""
-        self._changes *= self._keep
-        if self._before and reaction != self._before:
-            self._changes += 1.0
-            if self._changes > FLICKERS:
-                self._severer = max(
-                    reaction, self._before, self._severer, key=_rank_severity
-                )
-        self._before = reaction
-        self._calm_ticks += 1
-        if _rank_severity(reaction) >= _rank_severity(self._severer):
-            self._calm_ticks = 0
-        if self._calm_ticks > self._calm_ticks_needed:
-            self._severer = ''
-        return max(reaction, self._severer, key=_rank_severity)
-
-
-def _rank_severity(reaction: str) -> int:
-    """Return how severe a reaction is, -1 for none that is known."""
-    if reaction not in SEVERITY:
-        return -1
-    return SEVERITY.index(reaction)
-
-
-class RecoveryPolicy:
-    """
-    Counts relapses, so that holding and resuming do not alternate for ever.
-
-    A reaction soon after control has resumed is a relapse, as is a law that cannot resume: each
-    makes the time that all must be well three times as long. After three in a row of what the arm
-    does or meets control is `latched`: the posture is held until an operator resumes it.
-    """
-
-    def __init__(self, recovery_time: float, period: float) -> None:
-        self._shortest = recovery_time
-        self._period = period
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._wait = self._shortest
-        self.resumed_at = -math.inf  # tick of control's own count
-        self.unlatch_control()
-
-    def unlatch_control(self) -> None:
-        """Let control resume although it is latched; the next relapse is the first."""
-        self.latched = False
-        self._relapses = 0
-
-    def note_reaction(self, causes: tuple[str, ...], tick: int) -> bool:
-        """Take note of a reaction that begins at a tick of control; return if it is new."""
-        if 'wrench_stray' in causes:  # it presses on what is there
-            self.latched = True
-        soon = SOON
-        if _is_physical(causes):
-            soon = RELAPSE_TIME
-        if (tick - self.resumed_at) * self._period > soon:
-            self._relapses = 0
-            self._wait = self._shortest
-            return True
-        self.note_relapse(causes)
-        return False
-
-    def note_relapse(self, causes: tuple[str, ...]) -> None:
-        """Take note that control has stopped too soon, or could not even resume."""
-        self._wait = min(GROWTH * self._wait, max(LONGEST_RECOVERY, self._shortest))
-        if _is_physical(causes):
-            self._relapses += 1
-            self.latched = self._relapses >= RELAPSES
-
-    def waiting_causes(self, good_ticks: int) -> tuple[str, ...]:
-        """Return what control still waits for after so many good ticks, if anything."""
-        if self.latched:
-            return (LATCHED,)
-        if good_ticks * self._period < self._wait:
-            return (RECOVERING,)
-        return ()
-
-
-def _is_physical(causes: tuple[str, ...]) -> bool:
-    """Return whether a reaction comes from what the arm does or meets."""
-    return any(cause.startswith(PHYSICAL) for cause in causes)
+            leader = contacts[contacts[i].config.leader]  # a couple with its contact
+            fading = np.inf
+            if leader.alpha_meas <= RELEASE_FORCE:
+                fading = DROP_TIME
+        pressed.alpha *= np.exp(-state.period / fading)
+        for k in range(6):
+            state.wrench[k] += pressed.alpha * contacts[i].N[k]
+    for j in range(held.shape[0]):
+        held[j].torque += dot(terms.jacobian[:, j], state.wrench)

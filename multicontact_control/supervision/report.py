@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.records import CONTACT, CONTROL
-from multicontact_control.supervision.checks import COLLISION
+from multicontact_control.supervision.causes import COLLISION, NAMES
 import numpy as np
 
 EVENT_CAPACITY = 1000  # a limit that comes and goes at every tick fills no memory
@@ -100,7 +100,7 @@ class EventLog:
         if _what_happens(status) == _what_happens(before):
             return
         for cause in status.causes:
-            if cause.startswith(COLLISION) and cause not in before.causes:
+            if cause.startswith(NAMES[COLLISION]) and cause not in before.causes:
                 self.collisions[cause] += 1
         parts = [
             status.reaction,

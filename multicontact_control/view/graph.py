@@ -16,7 +16,7 @@ from multicontact_control.nodes.controller_topics import MARKER_NAMESPACE
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
 from multicontact_control.nodes.messages import ControllerStatus, REFUSED
 from multicontact_control.runs.scenario import Setup
-from multicontact_control.supervision.reactions import NONE
+from multicontact_control.supervision.causes import NONE
 from multicontact_control.view import source
 from multicontact_control.view.steering import GraphSteering
 from multicontact_control.view.streams import BLOCK_TIME, CurveStreams

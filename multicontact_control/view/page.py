@@ -16,7 +16,7 @@ from typing import Any
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.judging.supervisor_events import LogLine
 from multicontact_control.sensor.push_test import CANCELLED
-from multicontact_control.supervision.reactions import NONE
+from multicontact_control.supervision.causes import NONE
 from multicontact_control.view.access import guard_viser_server
 from multicontact_control.view.controls import CommandRequests, ControlPanel
 from multicontact_control.view.curves import COLOURS, CurveCharts

@@ -34,7 +34,7 @@ from multicontact_control.runs.recording import (
     SERIES_FILE,
 )
 from multicontact_control.runs.scenario import Setup
-from multicontact_control.supervision.reactions import NONE
+from multicontact_control.supervision.causes import NONE
 from multicontact_control.view import source
 from multicontact_control.view.curves import find_block_extremes
 import numpy as np

@@ -12,7 +12,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.judging.supervisor_events import LogLine, SupervisorEvent
 from multicontact_control.runs.scenario import Setup
-from multicontact_control.supervision.reactions import NONE
+from multicontact_control.supervision.causes import NONE
 import numpy as np
 from sim_bridge.surface_patch import Patch, shape_configured_patch
 

@@ -6,7 +6,7 @@ import equations
 from force_loop import ActiveObserver, design_force_loop, H, observer_of
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import (
-    continue_observers_after_pause,
+    continue_observer_after_pause,
     continue_observers_from,
     correct_prediction,
     design_observer,
@@ -176,7 +176,7 @@ def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loo
     observers = make_observers([design_observer(loop)] * 2)
     observers['running'] = True
     observers['x_est'][:, :6] = [8.0, 3.0, 0.1, 0.2, 0.3, 0.7]
-    forces = np.array([5.0, 6.0])
-    continue_observers_after_pause(observers, np.array([True, False]), forces)
+    continue_observer_after_pause(observers[0], True, 5.0)
+    continue_observer_after_pause(observers[1], False, 6.0)
     assert observers['running'].tolist() == [True, False]
     assert_array_equal(observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7])

@@ -241,7 +241,7 @@ def estimate_disturbance(name, aware):
     for _ in range(100):
         answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
         if aware:
-            add_extra_acceleration(laws, np.array([True]), -inputs)
+            add_extra_acceleration(laws[0], -inputs[0])
     law = laws[0]
     if law['is_linear']:
         return abs(law['linear']['p_est'])

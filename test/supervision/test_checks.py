@@ -14,9 +14,13 @@ from multicontact_control.flags import (
 )
 from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL, JOINT
+from multicontact_control.supervision.causes import (
+    BITS,
+    choose_severest_reaction,
+    SEVERITY,
+)
 from multicontact_control.supervision.checks import (
     check_plausibility,
-    choose_severest_reaction,
     configure_monitors,
     judge_answer,
     JUDGEMENT,
@@ -201,10 +205,13 @@ def test_contradictions_refuse_nothing_without_guards_but_numbers_that_are_none_
         (('joints_stale',), 'float'),
         (('wrench_pull', 'variance_stale'), 'hold'),
         (('joints_invalid', 'wrench_stale'), 'float'),
+        (('joints_invalid', 'collision'), 'damp'),
     ],
 )
 def test_severest_reaction_of_several_causes_is_chosen(causes, reaction):
-    assert choose_severest_reaction(causes, CONFIG) == reaction
+    bits = sum(BITS[cause] for cause in causes)
+    damp = SEVERITY.index('damp')
+    assert SEVERITY[choose_severest_reaction(bits, damp)] == reaction
 
 
 def monitored(**changes):

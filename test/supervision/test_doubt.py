@@ -5,8 +5,12 @@ from contextlib import closing
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
 from multicontact_control.sensor.push_test import PushTestConfig
-from multicontact_control.supervision import reactions
-from multicontact_control.supervision.reactions import ReactionHysteresis
+from multicontact_control.supervision.causes import TO_FLOAT, TO_HOLD
+from multicontact_control.supervision.recovery import (
+    HYSTERESIS,
+    reset_hysteresis,
+    steady_reaction,
+)
 import numpy as np
 import pytest
 from robots import robot_parameters
@@ -355,14 +359,16 @@ def test_wrench_of_the_residual_needs_the_torque_of_every_joint():
 
 
 def test_severer_of_two_reactions_that_take_turns_stays():
-    steadiness = ReactionHysteresis(H)
-    turns = ([reactions.FLOAT] * 2 + [reactions.HOLD] * 8) * 60
-    taken = [steadiness.steady_reaction(reaction) for reaction in turns]
+    (hysteresis,) = np.zeros(1, HYSTERESIS)
+    hysteresis['period'] = H
+    reset_hysteresis(hysteresis)
+    turns = ([TO_FLOAT] * 2 + [TO_HOLD] * 8) * 60
+    taken = [steady_reaction(hysteresis, reaction) for reaction in turns]
     assert count_changes(taken) <= 4
-    assert taken[-1] == reactions.FLOAT
-    after = [steadiness.steady_reaction(reactions.HOLD) for _ in range(300)]
-    assert after[0] == reactions.FLOAT
-    assert after[-1] == reactions.HOLD
+    assert taken[-1] == TO_FLOAT
+    after = [steady_reaction(hysteresis, TO_HOLD) for _ in range(300)]
+    assert after[0] == TO_FLOAT
+    assert after[-1] == TO_HOLD
     assert count_changes(after) == 1
 
 

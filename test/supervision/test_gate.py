@@ -21,7 +21,7 @@ from multicontact_control.supervision.checks import (
     plausibility_limits,
 )
 from multicontact_control.supervision.contacts import LOST, STATE_NAMES
-from multicontact_control.supervision.gate import TorqueGate
+from multicontact_control.supervision.gate import begin_torque, pass_gate, TorqueGate
 from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
 import pytest
@@ -43,12 +43,24 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     joints['torque_limit'] = limit
     joints['lower'] = config.limits.joint_lower
     joints['upper'] = config.limits.joint_upper
-    return TorqueGate(config, arm, guarded=guarded), arm
+    gate = TorqueGate(config, arm, guarded=guarded)
+    gate.arm = arm
+    return gate, arm
 
 
 def passed(gate, law, torque):
-    """Return what the gate makes of a torque of a law."""
-    gate.apply_torque(law, torque.copy())
+    """Return what the gate makes of a torque of a law, at joints that are seen."""
+    arm = gate.arm
+    arm.joints['answer']['torque'] = torque
+    gate.records['seen'] = True
+    pass_gate(
+        gate.records[0],
+        arm.joints,
+        arm.controls[0],
+        arm.contacts,
+        ROBOT.terms,
+        law,
+    )
     return gate.last.copy()
 
 
@@ -78,7 +90,7 @@ def blending(**transition):
     """Return a gate that starts from a torque and has no limits."""
     config = controller_config(transition=transition)
     gate, _ = make(config=config, limit=np.inf, guarded=False)
-    gate.begin_from(START)
+    begin_torque(gate.records[0], gate.arm.joints, START)
     return gate
 
 

@@ -10,7 +10,14 @@ from multicontact_control.faults.fault_run import resolve_with_obstacles
 from multicontact_control.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
-from multicontact_control.supervision.reactions import RECOVERING, RecoveryPolicy
+from multicontact_control.supervision.causes import BITS, RECOVERING
+from multicontact_control.supervision.recovery import (
+    find_waiting_cause,
+    note_reaction,
+    RECOVERY,
+    reset_recovery,
+    unlatch_control,
+)
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -108,7 +115,7 @@ def assert_forces(forces, expected, within=0.5):
     ('cause', 'soon'),
     [
         ('wrench_stale', 1.0),
-        ('collision_joint2', 5.0),
+        ('collision', 5.0),
         ('motion_joint_speed', 5.0),
         ('law_not_finite', 5.0),
         ('wrench_sideways', 5.0),
@@ -118,20 +125,23 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
     cause, soon
 ):
     """From 50 ms up to 2 s; a reaction is a relapse within `soon` after control has resumed."""
-    recovery = RecoveryPolicy(WatchdogConfig().recovery_time, H)
+    (recovery,) = np.zeros(1, RECOVERY)
+    recovery['period'] = H
+    recovery['shortest'] = WatchdogConfig().recovery_time
+    reset_recovery(recovery)
     tick = 0
 
     def stop(after):
         """Return the wait after some seconds of control [s]; None for ever."""
         nonlocal tick
         tick += round(after / H)
-        recovery.note_reaction((cause,), tick)
+        note_reaction(recovery, BITS[cause], tick)
         wait = None
         for k in range(2000):
-            if recovery.waiting_causes(k) == ():
+            if not find_waiting_cause(recovery, k):
                 wait = k * H
                 break
-        recovery.resumed_at = tick
+        recovery['resumed_at'] = tick
         return wait
 
     expected = [0.05, 0.15, 0.45, 1.35, 2.0, 2.0]
@@ -139,10 +149,10 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
         expected[3:] = [None] * 3
     waits = [stop(0.5 * soon) for _ in expected]
     assert waits == pytest.approx(expected, abs=1.01 * H)
-    recovery.unlatch_control()
-    assert recovery.waiting_causes(2000) == ()
+    unlatch_control(recovery)
+    assert find_waiting_cause(recovery, 2000) == 0
     assert stop(1.1 * soon) == pytest.approx(0.05)
-    assert recovery.waiting_causes(0) == (RECOVERING,)
+    assert find_waiting_cause(recovery, 0) == RECOVERING
 
 
 @on_both_plants
