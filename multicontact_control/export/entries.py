@@ -7,6 +7,7 @@ call the kernels that run in Python. The first lines of their docstrings are in 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from multicontact_control.supervision.contact_task import hold_task, lock_task
@@ -159,7 +160,7 @@ def stop(pointer: Any) -> Any:
     return 0
 
 
-ENTRIES = {
+ENTRIES: dict[str, Callable[..., Any]] = {
     'mc_take': take,
     'mc_see': see,
     'mc_act': act,

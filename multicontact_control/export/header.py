@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import get_type_hints
 
 from multicontact_control import flags
+from multicontact_control.config import contact
 from multicontact_control.export.entries import ENTRIES
 from multicontact_control.export.field_comments import (
     FieldComment,
@@ -78,10 +79,15 @@ def write_header(
     constants += _define_constants(flags, _list_integers(flags))
     constants += ['', '/* What answers a tick: `supervisions[0].reaction`. */']
     constants += _define_constants(causes, REACTIONS)
-    constants += ['', '/* Why the law does not answer, or not as usual: bits of `supervisions[0].causes`. */']
+    constants += [
+        '',
+        '/* Why the law does not answer, or not as usual: bits of `supervisions[0].causes`. */',
+    ]
     constants += [_define(what.upper(), bit) for bit, what in causes.NAMES.items()]
     constants += ['', '/* What is wrong with a reading; what came of one: `*_came`. */']
     constants += _define_constants(input_checks, READING_PROBLEMS)
+    constants += ['', '/* What a column of N is: `contacts[i].config.kind`. */']
+    constants += _define_constants(contact, ('FORCE', 'ALONG', 'ACROSS'))
     constants += ['', '/* The state of a contact: `states[i].state`. */']
     constants += _define_constants(contacts, CONTACT_STATES, 'CONTACT_')
     parts = {
@@ -119,9 +125,12 @@ def _list_integers(module: ModuleType) -> list[str]:
 
 def _define(name: str, value: object) -> str:
     """Return a constant of C."""
+    text = f'({value})'
     if isinstance(value, str):
-        return f'#define MC_{name} "{value}"'
-    return f'#define MC_{name} ({value})'
+        text = f'"{value}"'
+    elif isinstance(value, tuple):
+        text = '{' + ', '.join(map(str, value)) + '}'
+    return f'#define MC_{name} {text}'
 
 
 def _define_constants(

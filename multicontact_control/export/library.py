@@ -110,6 +110,12 @@ def _list_values(config: ControllerConfig) -> dict[str, object]:
         'PERIOD': config.period,
         'OPERATIONAL_FRAME': robot.operational_frame,
         'SENSOR_FRAME': robot.sensor_frame or robot.operational_frame,
+        'ADDS_GRAVITY': int(robot.adds_gravity),
+        'ADDS_TOOL_GRAVITY': int(robot.adds_tool_gravity),
+        'TOOL_MASS': config.tool.mass,
+        'TOOL_COM': tuple(config.tool.com_sensor),
+        'COMMAND_DELAY': config.collision.command_delay,
+        'WRENCH_BY_MOMENTUM': int(config.wrench_input == 'momentum'),
     }
 
 

@@ -7,11 +7,11 @@
 
 #include "multicontact_tick.h"
 
-typedef int64_t entry(mc_controller *);
-static entry *const entries[] = {mc_take, mc_tick};
+enum { TAKE, SEE, ACT, TICK, FAIL, HOLD, LOCK, RETRY, STOP };
 
 typedef struct {
     int64_t entry;
+    int64_t argument;
     int64_t writes;
     int64_t result;
     int64_t compared;
@@ -25,6 +25,32 @@ static void take(void *place, size_t size)
         fprintf(stderr, "the calls end within one\n");
         exit(2);
     }
+}
+
+static int64_t call(int64_t entry, int64_t argument)
+{
+    switch (entry) {
+    case TAKE:
+        return mc_take(&controller);
+    case SEE:
+        return mc_see(&controller);
+    case ACT:
+        return mc_act(&controller);
+    case TICK:
+        return mc_tick(&controller);
+    case FAIL:
+        return mc_fail(&controller, argument);
+    case HOLD:
+        return mc_hold(&controller, argument);
+    case LOCK:
+        return mc_lock(&controller, argument);
+    case RETRY:
+        return mc_retry(&controller);
+    case STOP:
+        return mc_stop(&controller);
+    }
+    fprintf(stderr, "entry %ld is unknown\n", (long)entry);
+    exit(2);
 }
 
 static void configure(const char *path)
@@ -51,18 +77,18 @@ int main(int count, char **arguments)
     }
     configure(arguments[1]);
     long calls = 0;
-    for (head call; fread(&call, sizeof call, 1, stdin) == 1; calls++) {
-        for (int64_t i = 0; i < call.writes; i++) {
+    for (head next; fread(&next, sizeof next, 1, stdin) == 1; calls++) {
+        for (int64_t i = 0; i < next.writes; i++) {
             int64_t part[2]; /* offset, size */
             take(part, sizeof part);
             take((char *)&controller + part[0], (size_t)part[1]);
         }
-        int64_t result = entries[call.entry](&controller);
-        if (result != call.result) {
-            printf("%ld result %ld instead of %ld\n", calls, (long)result, (long)call.result);
+        int64_t result = call(next.entry, next.argument);
+        if (result != next.result) {
+            printf("%ld result %ld instead of %ld\n", calls, (long)result, (long)next.result);
             return 1;
         }
-        if (!call.compared) {
+        if (!next.compared) {
             continue;
         }
         take(&expected, sizeof expected);

@@ -55,7 +55,7 @@ def test_library_needs_nothing_but_mathematics(quick):
 
 def test_tick_of_quick_is_that_of_python(quick):
     loop = ClosedLoop(resolve('quick'))
-    with replayed(loop.control, build_replay(quick), quick / RECORDS) as replay:
+    with replayed(loop.control, quick) as replay:
         for _ in range(QUICK_TICKS):
             loop.advance()
     loop.close()

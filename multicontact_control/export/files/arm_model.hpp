@@ -39,16 +39,36 @@ public:
         auto &terms = controller.terms;
         Eigen::Map<ByColumns>(&terms.mass_matrix[0][0]) = data_.M;
         Eigen::Map<Joints>(terms.bias_torque) = data_.nle;
+        Eigen::Map<Joints>(terms.gravity) = data_.g;
         Eigen::Map<ByRows>(&terms.jacobian[0][0]) = jacobian_;
         Eigen::Map<ByRows>(&terms.jacobian_rate[0][0]) = jacobian_rate_;
         place(data_.oMf[frame_], terms.position, terms.rotation);
         place(data_.oMf[sensor_], terms.sensor_position, terms.sensor_rotation);
+        if (MC_ADDS_GRAVITY) {
+            Eigen::Map<Joints>(controller.added) = added_torque();
+        }
     }
 
-    // g(q) where the terms were computed last [N m].
-    const Eigen::VectorXd &gravity() const { return data_.g; }
-
 private:
+    // What drives that carry the arm add to a command; of the tool's weight they need not know.
+    const Eigen::VectorXd &added_torque()
+    {
+        added_ = data_.g;
+        if (!MC_ADDS_TOOL_GRAVITY) {
+            const double com[3] = MC_TOOL_COM;
+            const Eigen::Vector3d weight = MC_TOOL_MASS * model_.gravity.linear();
+            const Eigen::Vector3d lever =
+                data_.oMf[sensor_].rotation() * Eigen::Map<const Eigen::Vector3d>(com);
+            jacobian_.setZero();
+            pinocchio::getFrameJacobian(
+                model_, data_, sensor_, pinocchio::LOCAL_WORLD_ALIGNED, jacobian_);
+            Eigen::Matrix<double, 6, 1> wrench;
+            wrench << weight, lever.cross(weight);
+            added_.noalias() += jacobian_.transpose() * wrench;
+        }
+        return added_;
+    }
+
     static pinocchio::Model load(const std::string &path)
     {
         pinocchio::Model model;
@@ -70,6 +90,7 @@ private:
     pinocchio::FrameIndex sensor_;
     Eigen::VectorXd q_ = Eigen::VectorXd::Zero(MC_JOINTS);
     Eigen::VectorXd v_ = Eigen::VectorXd::Zero(MC_JOINTS);
+    Eigen::VectorXd added_ = Eigen::VectorXd::Zero(MC_JOINTS);
     pinocchio::Data::Matrix6x jacobian_ = pinocchio::Data::Matrix6x::Zero(6, MC_JOINTS);
     pinocchio::Data::Matrix6x jacobian_rate_ = pinocchio::Data::Matrix6x::Zero(6, MC_JOINTS);
 };

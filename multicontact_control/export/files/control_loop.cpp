@@ -72,26 +72,28 @@ void take(const Sample &sample)
     std::copy_n(sample.velocity, MC_JOINTS, in.velocity);
     std::copy_n(sample.effort, MC_JOINTS, in.effort);
     std::copy_n(sample.wrench, 6, in.wrench);
-    in.command_came = controller.gates[0].begun;
+    in.command_came = MC_COMMAND_DELAY >= 0 && controller.gates[0].begun;
     for (int j = 0; j < MC_JOINTS; ++j) {
         in.command[j] = controller.joints[j].gate.commanded_torque;
+    }
+    if (MC_WRENCH_BY_MOMENTUM) {
+        const mc_input_stage &stage = controller.stages[0];
+        const bool found = stage.state.unknown <= stage.settings.commands + 1;
+        in.wrench_came = found ? MC_FINE : MC_ABSENT;
+        std::copy_n(controller.controls[0].wrench, 6, in.wrench);
     }
     mc_take(&controller);
 }
 
-// Where the arm is at its first sample, at rest, and a force at every contact.
-void want(double force)
+// The pose is that in which the task has begun; couples stay 0.
+void press(double force)
 {
-    mc_task &wanted = controller.controls[0].wanted;
-    const mc_terms &terms = controller.terms;
-    std::copy_n(terms.position, 3, wanted.position);
-    for (int row = 0; row < 3; ++row) {
-        for (int column = 0; column < 3; ++column) {
-            wanted.rotation[row][column] = terms.rotation[column][row];
-        }
+    const mc_task_limits &limits = controller.limits[0];
+    if (!controller.supervisions[0].started || limits.held || limits.locked) {
+        return;
     }
     for (mc_contact &contact : controller.contacts) {
-        contact.wanted = contact.config.kind == 0;  // a normal force, and no couple
+        contact.wanted = contact.config.kind == MC_FORCE;
         contact.alpha_wanted = contact.wanted ? force : 0.0;
     }
 }
@@ -129,7 +131,7 @@ int main(int count, char **arguments)
     using Clock = std::chrono::steady_clock;
     Clock::duration worst{0};
     long cycles = 0;
-    int64_t found = 0;
+    long answers[MC_TO_SAFE + 1] = {};  // by what has given them
     Sample sample;
     Command command;
     sockaddr_in peer{};
@@ -143,10 +145,9 @@ int main(int count, char **arguments)
         const auto begin = Clock::now();
         take(sample);
         model.compute(controller);
-        if (cycles == 0) {
-            want(force);
-        }
-        found |= mc_tick(&controller);
+        press(force);
+        mc_tick(&controller);
+        ++answers[controller.supervisions[0].reaction];
         command.time = sample.time;
         for (int j = 0; j < MC_JOINTS; ++j) {
             const mc_joint &joint = controller.joints[j];
@@ -156,7 +157,8 @@ int main(int count, char **arguments)
         sendto(link, &command, sizeof command, 0, reinterpret_cast<sockaddr *>(&peer), length);
     }
     const auto nanoseconds = std::chrono::duration_cast<std::chrono::nanoseconds>(worst);
-    std::printf("%ld cycles, longest %.1f us, flags 0x%llx\n", cycles,
-        1e-3 * static_cast<double>(nanoseconds.count()), static_cast<unsigned long long>(found));
+    std::printf("%ld cycles, longest %.1f us, %ld held, %ld floating, %ld damped\n", cycles,
+        1e-3 * static_cast<double>(nanoseconds.count()), answers[MC_TO_HOLD],
+        answers[MC_TO_FLOAT], answers[MC_TO_DAMP]);
     return 0;
 }

@@ -6,16 +6,31 @@
 
    A cycle:
 
-       write controller.stages[0].sample        what came in, with its stamps
-       mc_take(&controller)                     false: a reading is not as it should be
-       write controller.terms                   the arm's model at controller.motion
-       write controller.controls[0].wanted and contacts[i].wanted, alpha_wanted
-       mc_tick(&controller)                     flags, MC_* below
-       command joints[j].gate.commanded_torque  less joints[j].drive_gravity_torque
+       write controller.stages[0].sample        what came in, each reading with its stamp
+       mc_take(&controller)                     what is valid is in `motion`
+       write controller.terms, controller.added the arm's model at `motion`
+       mc_tick(&controller)
+       command joints[j].gate.commanded_torque less joints[j].drive_gravity_torque
+
+   A reading that has not come is ABSENT, one that cannot be read INVALID; the newest valid one
+   stands in for it until it is too old. `supervisions[0].reaction` says what has answered: the law
+   (TO_NONE, TO_INFLATE), or, by itself, a hold, float or damp, and `causes` why. The torque that
+   is commanded is always the one to send: it has passed the gate. `command` of a sample is
+   `commanded_torque` of the tick before, if MC_COMMAND_DELAY is 0 or more.
+
+   What is wanted is in `controls[0].wanted`, and `wanted` and `alpha_wanted` of `contacts`. Where
+   `supervisions[0].begins` says that a task begins, the pose of the arm has just been written
+   there, at rest, and no force; a caller with a task of its own calls mc_see, writes it, and calls
+   mc_act. While `limits[0].held` or `locked`, what is wanted is the library's. A contact is
+   approached where it is wanted; its state is `states[i].state`.
+
+   What only the Python controller does: trajectories, scenarios and topics, explanations and
+   events, estimates of R (`sample.variance`, ABSENT: as configured), other parameters and another
+   tool without a restart, push test and tare, and taking velocities for refuted because they
+   explain a collision.
 
    No call allocates, locks, waits or enters the operating system. A controller is used by one
-   thread at a time; several controllers are independent of each other. All units are SI, all
-   vectors in world axes unless their names say otherwise. */
+   thread at a time; several controllers are independent of each other. All units are SI. */
 #ifndef MULTICONTACT_TICK_H
 #define MULTICONTACT_TICK_H
 
