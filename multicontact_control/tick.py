@@ -156,7 +156,7 @@ def answer_by_law(records: TickRecords, terms: ModelTerms) -> int:
         return found
     gate.seen = True
     law = number_of_law(contacts, gate.config.guarded)
-    found |= pass_gate(gate, joints, control, contacts, terms, law)
+    found |= pass_gate(gate, joints, control, contacts, terms, space.inertia, law)
     if found & BOUNDING_LIMITS:
         limit.bounded_at = limit.time
     return found

@@ -55,7 +55,7 @@ TORQUE_PATH = (
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: 9_650,
-    'dynamics': 8_050,
+    'dynamics': 8_100,
     'contact': 4_600,
     'force': 16_000,
     'control': 17_000,
@@ -78,7 +78,7 @@ BUDGETS = {
     'test/campaign': 9_200,
     'benchmarks': 3_300,
 }
-MOST_COMPILED = 216  # functions
+MOST_COMPILED = 217  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 11.6, 27

@@ -40,11 +40,17 @@ class InertiaSpace(Record, Protocol):
     L: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]  # M = L L^T, lower triangle
     Y: Annotated[Matrix, MAX_JOINTS, 6]  # L^-1 J^T
 
-    # J M^-1 J^T, and its inverse.
+    # J M^-1 J^T, damped near singularities, and its inverse.
     mobility: Annotated[Matrix, 6, 6]
     Lambda: Annotated[Matrix, 6, 6]
 
-    # Of Lambda^-1, and the inverse of that.
+    # Eigenvalues of J M^-1 J^T, on the diagonal, and its eigenvectors as columns, if they have
+    # been needed; see `diagonalise_mobility`.
+    eigenvalues: Annotated[Matrix, 6, 6]
+    directions: Annotated[Matrix, 6, 6]
+    diagonalised: bool
+
+    # Worked with: the factor of Lambda^-1, and the inverse of that.
     factor: Annotated[Matrix, 6, 6]
     root: Annotated[Matrix, 6, 6]
 
@@ -96,6 +102,7 @@ def compute_mobility_and_inertia(
     """
     n = mass_matrix.shape[0]
     mobility = space.mobility
+    space.diagonalised = False
     L = space.L[:n, :n]
     Y = space.Y[:n]
     if not cholesky(mass_matrix, L, 0.0):
@@ -111,9 +118,8 @@ def compute_mobility_and_inertia(
         smallest = 1.0 / frobenius_norm(space.Lambda)
     if smallest >= singular_mobility and smallest * MAX_MOBILITY_CONDITION > trace:
         return 0.0, smallest
-    eigenvalues = space.factor
-    eigenvalues[:] = mobility
-    diagonalise(eigenvalues, space.root)
+    diagonalise_mobility(space)
+    eigenvalues = space.eigenvalues
     smallest = eigenvalues[0, 0]
     largest = eigenvalues[0, 0]
     for i in range(1, 6):
@@ -130,6 +136,15 @@ def compute_mobility_and_inertia(
         return -1.0, smallest
     invert_symmetric(mobility, space.factor, space.root, space.Lambda)
     return damping, smallest
+
+
+@compiled
+def diagonalise_mobility(space: InertiaSpace) -> None:
+    """Fill in eigenvalues and eigenvectors of J M^-1 J^T, unless they are."""
+    if not space.diagonalised:
+        space.diagonalised = True
+        space.eigenvalues[:] = space.mobility
+        diagonalise(space.eigenvalues, space.directions)
 
 
 @compiled

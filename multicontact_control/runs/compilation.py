@@ -106,6 +106,7 @@ def compile_beside() -> None:
 
     In a process of its own, on another core. What fails there is compiled by what follows.
     """
+    from multicontact_control.dynamics.operational_space import INERTIA_SPACE
     from multicontact_control.dynamics.terms import ModelTerms
     from multicontact_control.records import CONTACT, CONTROL, JOINT
     from multicontact_control.runs.scenario import resolve
@@ -135,7 +136,8 @@ def compile_beside() -> None:
     limits: Any = np.zeros(1, dtype=TASK_LIMITS)
     stages: Any = np.zeros(1, dtype=INPUT_STAGE)
     stages['settings']['commands'] = 2
-    pass_gate(gates[0], joints, controls[0], contacts, terms, 0)
+    inertia: Any = np.zeros(1, dtype=INERTIA_SPACE)
+    pass_gate(gates[0], joints, controls[0], contacts, terms, inertia[0], 0)
     limit_task(limits[0], controls[0], contacts, states)
     check_inputs(stages, np.zeros(6), np.zeros(6), joints, controls, contacts)
     for name in ('flexible', 'rigid'):

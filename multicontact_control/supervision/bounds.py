@@ -16,7 +16,6 @@ from typing import Annotated, Protocol
 from multicontact_control.algebra import (
     add_scaled_vector,
     cholesky,
-    diagonalise,
     dot,
     gram_matrix,
     multiply_vector,
@@ -27,7 +26,11 @@ from multicontact_control.algebra import (
 from multicontact_control.arrays import Bytes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
-from multicontact_control.dynamics.operational_space import compute_mobility_gradient
+from multicontact_control.dynamics.operational_space import (
+    compute_mobility_gradient,
+    diagonalise_mobility,
+    InertiaSpace,
+)
 from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.flags import JOINT_BOUNDED, SINGULARITY_BOUNDED
 from multicontact_control.records import (
@@ -89,12 +92,6 @@ class BoundSpace(Record, Protocol):
     acceleration: Annotated[Vector, MAX_JOINTS]
     change: Annotated[Vector, MAX_JOINTS]
 
-    # M = L L^T, L^-1 J^T.
-    L: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
-    Y: Annotated[Matrix, MAX_JOINTS, 6]
-
-    mobility: Annotated[Matrix, 6, 6]
-    directions: Annotated[Matrix, 6, 6]
     rates: Annotated[Vector, MAX_JOINTS]
     wrench: Annotated[Vector, 6]  # that the contacts bear [N, N m]
     cost: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
@@ -169,28 +166,28 @@ def add_reach_bounds(
     rows: Matrix,
     bounds: Vector,
     count: int,
+    inertia: InertiaSpace,
     space: BoundSpace,
 ) -> int:
     """
     Fill in a row for each direction in which the arm is nearly singular, as stretched arms are.
 
     The distance is that of the square root of an eigenvalue of Lambda^-1 from `SINGULAR_ROOT`. A
-    posture that is beyond it may be left, but not made worse. L and Y in `space` are those of
-    `BOUND_SPACE`; for the rest see `add_joint_bounds`.
+    posture that is beyond it may be left, but not made worse. `inertia` is that of the law's
+    answer; for the rest see `add_joint_bounds`.
     """
     n = joints.shape[0]
-    gram_matrix(space.Y[:n], space.mobility)
-    diagonalise(space.mobility, space.directions)
+    diagonalise_mobility(inertia)
     for k in range(6):
-        size = np.sqrt(max(space.mobility[k, k], ROUNDING))
+        size = np.sqrt(max(inertia.eigenvalues[k, k], ROUNDING))
         if size > NEAR_SINGULAR_ROOT:
             continue
         gradient, closing = rows[count], 0.0
         compute_mobility_gradient(
             jacobian,
-            space.L[:n, :n],
-            space.Y[:n],
-            space.directions[:, k],
+            inertia.L[:n, :n],
+            inertia.Y[:n],
+            inertia.directions[:, k],
             space.rates[:n],
             gradient,
         )
@@ -321,13 +318,14 @@ def predict_acceleration(
     joints: Records[Joint],
     contacts: Records[Contact],
     jacobian: Matrix,
+    L: Matrix,
     space: BoundSpace,
 ) -> None:
     """
     Fill in M^-1 (Gamma - C v - g - friction - J^T f), shape (n,) [rad/s^2].
 
     f is the measured wrench of the contacts, or what is fed forward to them where there is none.
-    `space` is a record of `BOUND_SPACE`, with Gamma and L in it.
+    M = L L^T, and `space` is a record of `BOUND_SPACE`, with Gamma in it.
     """
     n, wrench = joints.shape[0], space.wrench
     acceleration = space.acceleration[:n]
@@ -349,7 +347,7 @@ def predict_acceleration(
         acceleration[j] = space.torque[j] - joint.bias_torque - friction
         for i in range(6):
             acceleration[j] -= jacobian[i, j] * wrench[i]
-    solve_cholesky(space.L[:n, :n], acceleration)
+    solve_cholesky(L, acceleration)
 
 
 @compiled
@@ -359,6 +357,7 @@ def bound_motion(
     contacts: Records[Contact],
     terms: ModelTerms,
     by_task: bool,
+    inertia: InertiaSpace,
     space: BoundSpace,
 ) -> int:
     """
@@ -371,7 +370,10 @@ def bound_motion(
     terms
         Of the arm's model: M and J are read.
     by_task
-        Whether the torque serves contacts and a task, which are kept as far as possible.
+        Whether the torque serves contacts and a task, which are kept as far as possible. It is
+        then the law's, which has filled in `inertia`; else that is filled in here.
+    inertia
+        A record of `INERTIA_SPACE`.
     space
         A record of `BOUND_SPACE`, whose `torque` is changed by M x, x the least change of
         accelerations that serves.
@@ -391,14 +393,14 @@ def bound_motion(
     nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR_ROOT**2
     if count == 0 and not nearly_singular:
         return 0
-    L, Y = space.L[:n, :n], space.Y[:n]
-    if not cholesky(mass_matrix, L, 0.0):
+    L = inertia.L[:n, :n]
+    if not by_task and not cholesky(mass_matrix, L, 0.0):
         return 0
     if nearly_singular:
-        Y[:] = terms.jacobian.T
-        solve_lower_columns(L, Y)
-        count = add_reach_bounds(joints, terms.jacobian, rows, bounds, count, space)
-    predict_acceleration(control, joints, contacts, terms.jacobian, space)
+        count = add_reach_bounds(
+            joints, terms.jacobian, rows, bounds, count, inertia, space
+        )
+    predict_acceleration(control, joints, contacts, terms.jacobian, L, space)
     exceeded = False
     for i in range(count):
         space.excess[i] = dot(rows[i], space.acceleration[:n]) - bounds[i]

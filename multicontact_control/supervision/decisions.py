@@ -301,6 +301,7 @@ def react(records: TickRecords, terms: ModelTerms) -> int:
         records.controls[0],
         records.contacts,
         terms,
+        records.workspaces[0].law.inertia,
         -supervision.reaction,
     )
 

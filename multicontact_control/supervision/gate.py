@@ -12,6 +12,7 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
+from multicontact_control.dynamics.operational_space import InertiaSpace
 from multicontact_control.dynamics.terms import ModelTerms
 from multicontact_control.flags import (
     JOINT_BOUNDED,
@@ -165,6 +166,7 @@ def pass_gate(
     control: Control,
     contacts: Records[Contact],
     terms: ModelTerms,
+    inertia: InertiaSpace,
     law: int,
 ) -> int:
     """
@@ -177,6 +179,8 @@ def pass_gate(
         becomes what is commanded, a record of `CONTROL`, and records of `CONTACT`, shape (r,).
     terms
         Of the arm's model: M and J are read.
+    inertia
+        A record of `INERTIA_SPACE`, which a law that answers has filled in.
     law
         What has answered: `number_of_law`, so that contacts and the task are kept as far as
         possible, or a negative number for something else.
@@ -209,7 +213,9 @@ def pass_gate(
             if np.isfinite(joints[j].bias_torque):
                 torque[j] = joints[j].bias_torque
     if gate.seen and gate.config.guarded:
-        enforced |= bound_motion(joints, control, contacts, terms, law >= 0, gate.space)
+        enforced |= bound_motion(
+            joints, control, contacts, terms, law >= 0, inertia, gate.space
+        )
     for j in range(n):
         joint = joints[j]
         # The limit holds for the command; the torque here includes what the drives add.

@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.tasks import CommandedTask
+from multicontact_control.dynamics.operational_space import INERTIA_SPACE
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import (
     ANSWER_NOT_FINITE,
@@ -59,6 +60,7 @@ def passed(gate, law, torque):
         arm.controls[0],
         arm.contacts,
         ROBOT.terms,
+        np.zeros(1, dtype=INERTIA_SPACE)[0],
         law,
     )
     return gate.last.copy()
