@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import os
 from pathlib import Path
 import subprocess
 from typing import Any
 
-from multicontact_control.export.library import export_library, RECORDS
+from multicontact_control.export.library import pack_records
 from multicontact_control.export.memory import copy_memory, make_memory_record
 from multicontact_control.loop import ControlLoop
 from multicontact_control.records import record_dtype
@@ -35,12 +36,6 @@ WRITTEN = (
 )
 
 
-def export(loop: ControlLoop, folder: Path) -> Path:
-    """Export a controller that has seen nothing; return the folder."""
-    export_library(loop, folder)
-    return folder
-
-
 def build_replay(folder: Path, *options: str) -> Path:
     """Return the program `replay` beside the library of a folder."""
     program = folder.parent / f'replay-of-{folder.name}'
@@ -57,7 +52,7 @@ class Replay:
     """
     What a loop calls from now on goes to a program as well, and is compared there.
 
-    The program has the configured records, and gets what the caller of the library is to write;
+    The program has the records of the beginning, and gets what the caller of the library is to write;
     all else it has to find by itself. A difference fails the test with the field in which it is.
 
     Attributes
@@ -140,7 +135,7 @@ class Replay:
         call, _, found = line.partition(' ')
         if found.startswith('byte'):
             found = name_field(self._dtype, int(found.split()[1]))
-        pytest.fail(f'call {call} of {self.calls}: {found}')
+        pytest.fail(f'call {call} of {self.calls}: {line} {found}')
 
 
 def name_field(dtype: np.dtype, offset: int) -> str:
@@ -155,10 +150,11 @@ def name_field(dtype: np.dtype, offset: int) -> str:
 
 
 @contextmanager
-def replayed(loop: ControlLoop, folder: Path, *command: Any) -> Iterator[Replay]:
-    """Replay what a loop does meanwhile, by the library of a folder; `command` starts it."""
-    program = (*command, build_replay(folder), folder / RECORDS)
-    replay = Replay(loop, list(map(str, program)))
+def replayed(loop: ControlLoop, program: Path, *started_by: str) -> Iterator[Replay]:
+    """Replay what a loop does from now on by a program that `build_replay` has made."""
+    records = program.with_name(f'records-{os.getpid()}.bin')
+    records.write_bytes(pack_records(loop))
+    replay = Replay(loop, [*started_by, str(program), str(records)])
     with pytest.MonkeyPatch.context() as patch:
 
         def watch(owner: Any, name: str, entry_of: Callable[..., tuple[int, int]]):

@@ -32,7 +32,7 @@ def export(
 
     The library is made from the kernels that run in Python, and needs none of it. The controller
     is that of --controller, or of a simulated arm. Its forces and motions are written by the C
-    program, not by a scenario. Needs `ar` and `cc`, of another target `TRIPLE-gcc`.
+    program, not by a scenario. Needs `ar` and `cc`; of another target the shared library needs TRIPLE-gcc.
     """
     from multicontact_control.export.library import export_library
     from multicontact_control.loop import ControlLoop
@@ -44,5 +44,7 @@ def export(
     else:
         setup = chosen.setup()
     loop = ControlLoop(setup.controller, None, CommandLimits(), setup.urdf_dir)
-    for path in export_library(loop, folder, target=target):
-        typer.echo(path)
+    files = export_library(loop, folder, target=target)
+    typer.echo('\n'.join(map(str, files)))
+    if not any(path.suffix == '.so' for path in files):
+        typer.echo(f'without a shared library: no {target}-gcc on PATH', err=True)

@@ -15,10 +15,9 @@ from multicontact_control.supervision.decisions import retry, stop_control
 from multicontact_control.supervision.gate import start_blend, update_added_torque
 from multicontact_control.supervision.input_checks import check_inputs
 from multicontact_control.supervision.tick_records import TickRecords
-from multicontact_control.tick import ACT, answer_error, SEE, tick
+from multicontact_control.tick import answer_error, SEE, tick
 from numba import carray
 from numba.extending import register_jitable
-import numpy as np
 
 
 @register_jitable
@@ -57,20 +56,6 @@ def get_terms(memory: Any) -> Any:
     )
 
 
-@register_jitable
-def run_stages(memory: Any, stages: Any) -> Any:
-    """Run stages of a tick; return what was found."""
-    return tick(stages, get_records(memory), memory.motion[:], get_terms(memory))
-
-
-@register_jitable
-def take_added_torque(memory: Any) -> None:
-    """Take in what the drives add to a command, if they add anything and the arm is known."""
-    stage = memory.stages[0]
-    if stage.settings.adds_gravity and stage.state.known:
-        update_added_torque(memory.joints[:], memory.added[:])
-
-
 def take(pointer: Any) -> Any:
     """
     Check what has come in, `stages[0].sample`; return 1 if all is well.
@@ -89,24 +74,17 @@ def take(pointer: Any) -> Any:
     )
 
 
-def see(pointer: Any) -> Any:
-    """See the arm, and decide what answers, `supervisions[0].reaction`; return flags."""
+def run(pointer: Any, stages: int) -> Any:
+    """
+    Run stages of a tick, MC_SEE, MC_ACT or both; return flags.
+
+    To see is to take in where the arm is, and to decide what answers, the law or a reaction.
+    """
     memory = carray(pointer, 1)[0]
-    take_added_torque(memory)
-    return run_stages(memory, np.int64(SEE))
-
-
-def act(pointer: Any) -> Any:
-    """Answer what was seen, by the law or by a reaction; return flags."""
-    memory = carray(pointer, 1)[0]
-    return run_stages(memory, np.int64(ACT))
-
-
-def see_and_act(pointer: Any) -> Any:
-    """See and act in one call; return flags."""
-    memory = carray(pointer, 1)[0]
-    take_added_torque(memory)
-    return run_stages(memory, np.int64(SEE | ACT))
+    stage = memory.stages[0]
+    if stages & SEE and stage.settings.adds_gravity and stage.state.known:
+        update_added_torque(memory.joints[:], memory.added[:])
+    return tick(stages, get_records(memory), memory.motion[:], get_terms(memory))
 
 
 def fail(pointer: Any, cause: int) -> Any:
@@ -162,9 +140,7 @@ def stop(pointer: Any) -> Any:
 
 ENTRIES: dict[str, Callable[..., Any]] = {
     'mc_take': take,
-    'mc_see': see,
-    'mc_act': act,
-    'mc_tick': see_and_act,
+    'mc_run': run,
     'mc_fail': fail,
     'mc_hold': hold,
     'mc_lock': lock,

@@ -10,7 +10,7 @@ import textwrap
 from types import ModuleType
 from typing import get_type_hints
 
-from multicontact_control import flags
+from multicontact_control import flags, tick
 from multicontact_control.config import contact
 from multicontact_control.export.entries import ENTRIES
 from multicontact_control.export.field_comments import (
@@ -77,6 +77,11 @@ def write_header(
     _add_struct(memory, structs)
     constants = [_define(name, value) for name, value in values.items()]
     constants += _define_constants(flags, _list_integers(flags))
+    constants += [
+        '',
+        '/* Stages of a tick. */',
+        *_define_constants(tick, ('SEE', 'ACT')),
+    ]
     constants += ['', '/* What answers a tick: `supervisions[0].reaction`. */']
     constants += _define_constants(causes, REACTIONS)
     constants += [

@@ -46,14 +46,15 @@ def export_library(loop: ControlLoop, folder: Path, *, target: str = '') -> list
     folder
         Where the files go.
     target
-        Triple of the machine that is to run it, as LLVM names it; empty for this one.
+        Triple of the machine that is to run it, as LLVM names it; empty for this one. Without
+        `TARGET-gcc` there is no shared library.
 
     Raises
     ------
     ConfigError
         If LLVM does not know the target, or the folder holds what no export has left.
     RunError
-        If `ar` or the C compiler of the target is missing, or fails.
+        If `ar` or `cc` is missing, or fails.
 
     """
     if folder.exists():
@@ -120,14 +121,17 @@ def _list_values(config: ControllerConfig) -> dict[str, object]:
 
 
 def _link(code: bytes, folder: Path, target: str) -> None:
-    """Make the static and the shared library of an object file."""
-    compiler = f'{target}-gcc' if target else 'cc'
+    """Make the static library of an object file, and the shared one where it can be linked."""
+    archive, shared = (folder / name for name in LIBRARIES)
+    linker = 'cc'
+    if target:
+        linker = f'{target}-gcc'
     with TemporaryDirectory() as place:
         compiled = Path(place) / f'{NAME}.o'
         compiled.write_bytes(code)
-        archive, shared = (folder / name for name in LIBRARIES)
         _call('ar', 'rcs', archive, compiled)
-        _call(compiler, '-shared', '-o', shared, compiled, '-lm')
+        if not target or shutil.which(linker):
+            _call(linker, '-shared', '-o', shared, compiled, '-lm')
 
 
 def _call(program: str, *arguments: object) -> None:

@@ -67,6 +67,24 @@ extern const uint64_t mc_library_layout;
 
 @CALLS@
 
+/* The arm is seen, and it is decided what answers; returns flags. */
+static inline int64_t mc_see(mc_controller *controller)
+{
+    return mc_run(controller, MC_SEE);
+}
+
+/* What was seen is answered, by the law or by a reaction; returns flags. */
+static inline int64_t mc_act(mc_controller *controller)
+{
+    return mc_run(controller, MC_ACT);
+}
+
+/* Both; returns flags. */
+static inline int64_t mc_tick(mc_controller *controller)
+{
+    return mc_run(controller, MC_SEE | MC_ACT);
+}
+
 /* Why mc_configure refuses records. */
 #define MC_WRONG_SIZE 1 /* they are no records, or cut short */
 #define MC_WRONG_LAYOUT 2 /* of another configuration or version than header or library */
