@@ -52,8 +52,8 @@ class Replay:
     """
     What a loop calls from now on goes to a program as well, and is compared there.
 
-    The program has the records of the beginning, and gets what the caller of the library is to write;
-    all else it has to find by itself. A difference fails the test with the field in which it is.
+    The program has the records of the beginning, and gets what the caller of the library is to
+    write; all else it has to find by itself. A difference fails the test and names the field.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Replay:
         call, _, found = line.partition(' ')
         if found.startswith('byte'):
             found = name_field(self._dtype, int(found.split()[1]))
-        pytest.fail(f'call {call} of {self.calls}: {line} {found}')
+        pytest.fail(f'call {call} of {self.calls}: {found}')
 
 
 def name_field(dtype: np.dtype, offset: int) -> str:

@@ -32,7 +32,8 @@ def export(
 
     The library is made from the kernels that run in Python, and needs none of it. The controller
     is that of --controller, or of a simulated arm. Its forces and motions are written by the C
-    program, not by a scenario. Needs `ar` and `cc`; of another target the shared library needs TRIPLE-gcc.
+    program, not by a scenario. Needs `ar` and `cc`; the shared library of another target needs
+    TRIPLE-gcc.
     """
     from multicontact_control.export.library import export_library
     from multicontact_control.loop import ControlLoop

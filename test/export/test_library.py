@@ -145,12 +145,12 @@ def test_records_of_another_layout_are_refused(
 def test_difference_of_a_bit_is_named(program):
     """The comparison can say no."""
     loop = ClosedLoop(resolve('quick'))
-    with pytest.raises(pytest.fail.Exception, match=r'joints\[3\]\.gate'):
+    viscous = loop.control.supervisor.records.joints['config']['viscous']
+    with pytest.raises(pytest.fail.Exception, match=r'joints\[0\]\.config\.viscous'):
         with replayed(loop.control, program):
             for _ in range(10):
                 loop.advance()
-            torque = loop.control.supervisor.gate.last
-            torque[3] = np.nextafter(torque[3], np.inf)
+            viscous[0] = np.nextafter(viscous[0], np.inf)
             loop.advance()
     loop.close()
 
