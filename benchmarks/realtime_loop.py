@@ -69,9 +69,8 @@ def become_real_time(priority):
 
 def resolve_setup(rate, robot):
     """Return the setup of the arm, before its surfaces, at a rate [Hz]."""
-    return resolve(
-        'quick', robot=robot, plant='rigid', controller={'rate': rate}, preset='best'
-    )
+    rates = {'controller': {'rate': rate}, 'noise_estimator': {'rate': rate}}
+    return resolve('quick', robot=robot, plant='rigid', preset='best', **rates)
 
 
 def control(setup, port, priority):

@@ -54,7 +54,7 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 9_650,
+    TOP: 9_750,
     'dynamics': 8_100,
     'contact': 4_600,
     'force': 16_000,
@@ -68,7 +68,7 @@ BUDGETS = {
     'runs': 17_500,
     'judging': 27_400,
     'commissioning': 6_900,
-    'export': 4_000,
+    'export': 4_500,
     'faults': 12_200,
     'study': 20_200,
     'view': 20_580,
@@ -76,7 +76,7 @@ BUDGETS = {
     'sim_bridge': 30_400,
     'test': 191_000,
     'test/campaign': 9_200,
-    'benchmarks': 3_300,
+    'benchmarks': 5_700,
 }
 MOST_COMPILED = 217  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and

@@ -49,6 +49,7 @@ YOURS = {
 }
 OTHERS = (
     '. ',
+    'cmake',
     'controller_node --autostart --ros-args',
     'cp',
     'dask',

@@ -37,6 +37,7 @@ def export(
     """
     from multicontact_control.export.library import export_library
     from multicontact_control.loop import ControlLoop
+    from multicontact_control.runs.compilation import ensure_compiled
     from multicontact_control.supervision.command_limits import CommandLimits
 
     if controller:
@@ -44,6 +45,7 @@ def export(
         setup = chosen.external(controller, context)
     else:
         setup = chosen.setup()
+    ensure_compiled()
     loop = ControlLoop(setup.controller, None, CommandLimits(), setup.urdf_dir)
     files = export_library(loop, folder, target=target)
     typer.echo('\n'.join(map(str, files)))

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from random import Random
 import shutil
 import subprocess
 
@@ -9,14 +10,14 @@ from exported import build_replay, replayed
 from multicontact_control.export.library import export_library
 from multicontact_control.faults import fault_run
 from multicontact_control.faults.fault_run import resolve_with_obstacles
-from multicontact_control.faults.vocabulary import FAULTS
+from multicontact_control.faults.vocabulary import APPROACH, FAULTS, REST, SLIDING
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.study.presets import faults
 from multicontact_control.study.presets.faults import PHASE_TIMES
 import pytest
 
-FAULTS_EACH = 51  # of each phase
+FAULTS_EACH = 68  # of each phase
 CHECKED_TICKS = 500  # by programs that are slow
 pytestmark = pytest.mark.nightly
 
@@ -62,17 +63,19 @@ def test_faults_are_answered_as_by_python(tmp_path, monkeypatch):
 
     monkeypatch.setattr(faults, 'run_fault', run_fault_replayed)
     count = 0
-    for phase, time in PHASE_TIMES.items():
+    random = Random(0)
+    for phase in (APPROACH, REST, SLIDING):
+        time = PHASE_TIMES[phase]
         while loop.tick < round(time * loop.setup.controller.rate):
             loop.advance()
         of_phase = [fault for fault in FAULTS.values() if phase in fault.phases]
-        for fault in of_phase[:: max(len(of_phase) // FAULTS_EACH, 1)][:FAULTS_EACH]:
+        for fault in random.sample(of_phase, FAULTS_EACH):
             row = faults.run_in_fork(loop, fault, 1, phase)
             assert row.problems != 'died', (fault.kind, fault.input, phase)
             count += 1
     loop.close()
     calls = [int(line) for line in equal.read_text().split()]
-    assert len(calls) == count
+    assert len(calls) == count > 200
 
 
 @pytest.mark.parametrize('checker', ['valgrind', 'address'])
