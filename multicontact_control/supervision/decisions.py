@@ -347,10 +347,10 @@ def begin_acting(records: TickRecords, terms: ModelTerms) -> None:
 def restart_control(records: TickRecords) -> None:
     """Let the law begin with the task anew; relapses and holds are forgotten."""
     supervision = records.supervisions[0]
-    forget_disturbance(records.controls[0])
-    restart_task(
-        records.limits[0], records.controls[0], records.contacts, records.states
-    )
+    control = records.controls[0]
+    control.measured = False
+    forget_disturbance(control)
+    restart_task(records.limits[0], control, records.contacts, records.states)
     records.judgements[0].contradictions = 0
     supervision.task_ticks = 0
     supervision.good_ticks = 0
