@@ -31,8 +31,8 @@ install_requires = [
     'numpy>=1.26,<3',
     'scipy>=1.11,<2',
     'control>=0.10,<0.11',
-    'numba>=0.59,<1',
-    'llvmlite>=0.42,<1',
+    'numba>=0.62,<1',
+    'llvmlite>=0.45,<1',
     # An engine for the simulated plant: PyBullet has no wheels from Python 3.12 on.
     f'{pybullet}; python_version < "3.12"',
     f'{mujoco}; python_version >= "3.12"',

@@ -164,8 +164,7 @@ def simulate(setup, port, seconds):
                 break
         delay.enter_command(tick, command['torque'][0])
         sample = plant.step(delay.torque_for(tick))
-        if due - time.perf_counter() > SPIN:
-            time.sleep(due - time.perf_counter() - SPIN)
+        time.sleep(max(due - time.perf_counter() - SPIN, 0.0))
         late[tick] = time.perf_counter() > due
         while time.perf_counter() < due:
             pass
@@ -226,7 +225,9 @@ def measure(options):
                 print(f'{kind}, {name} ...', flush=True)
                 at = port if kind == 'C' else port + 1
                 with started(command, CONTROLLER_CPU):
-                    results[f'{kind}, {name}'] = simulate(setup, at, options.seconds)
+                    result = simulate(setup, at, options.seconds)
+                print(result, flush=True)
+                results[f'{kind}, {name}'] = result
     return results
 
 

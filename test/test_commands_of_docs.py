@@ -56,6 +56,7 @@ OTHERS = (
     'franka_bridge',
     'noise_estimator_node --autostart --ros-args',
     'pip install',
+    'python benchmarks/',
     'python docs/',
     'python ur_wrench.py',
     'python3 -m venv',

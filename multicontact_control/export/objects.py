@@ -15,9 +15,7 @@ import numpy as np
 
 OPTIMISATION = 3
 LAYOUT = 'mc_library_layout'
-PASSES = (
-    2  # what the first makes constant of an entry's arguments, the second takes out
-)
+PASSES = 2  # what the first finds constant in arguments, the second takes out
 # Calls an entry as numba compiles it: results and exceptions go to places, the status is
 # returned. No kernel raises: divisions by zero give infinity or NaN.
 SHIM = """
