@@ -31,8 +31,8 @@ install_requires = [
     'numpy>=1.26,<3',
     'scipy>=1.11,<2',
     'control>=0.10,<0.11',
-    'numba>=0.59,<1',
-    'llvmlite>=0.42,<1',
+    'numba>=0.62,<1',
+    'llvmlite>=0.45,<1',
     # An engine for the simulated plant: PyBullet has no wheels from Python 3.12 on.
     f'{pybullet}; python_version < "3.12"',
     f'{mujoco}; python_version >= "3.12"',
@@ -198,7 +198,12 @@ setup(
     python_requires='>=3.10',
     packages=find_packages(exclude=['test*', 'benchmarks*']),
     package_data={
-        package_name: ['py.typed', 'judging/page_assets/*', 'view/page_assets/*']
+        package_name: [
+            'py.typed',
+            'export/files/*',
+            'judging/page_assets/*',
+            'view/page_assets/*',
+        ]
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),

@@ -15,11 +15,15 @@ from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.export.library import export_library
+from multicontact_control.export.memory import copy_memory, make_memory_record
 from multicontact_control.files import replace_json_file
 from multicontact_control.force.noise import make_noise_estimator
 from multicontact_control.loop import ControlLoop
 from multicontact_control.process import settle_process
+from multicontact_control.records import INPUT, record_dtype, Task
 from multicontact_control.runs.closed_loop import (
+    ClosedLoop,
     estimate_variance,
     run_in_process,
 )
@@ -311,6 +315,70 @@ def read_processor_times(nodes):
     return times
 
 
+def bench_c_tick(count):
+    """
+    Return the times of a supervised tick of the C library [us], with pinocchio and without.
+
+    The inputs are those of a run in Python, whose torques and terms of the model it compares with
+    its own. Needs g++, cmake and pinocchio's headers. Raises RuntimeError if it cannot be built.
+    """
+    with TemporaryDirectory() as place:
+        folder = Path(place)
+        tick = folder / 'tick'
+        record_c_inputs(tick, folder / 'inputs')
+        build = folder / 'build'
+        prefix = Path(pin.__file__).parents[4]
+        source = Path(__file__).with_name('c_tick')
+        settings = (f'-DEXPORT={tick}', f'-DCMAKE_PREFIX_PATH={prefix}')
+        for command in (
+            ('cmake', '-S', source, '-B', build, *settings),
+            ('cmake', '--build', build, '--target', 'c_tick'),
+            (build / 'c_tick', tick, folder / 'inputs', str(count)),
+        ):
+            done = subprocess.run(command, capture_output=True, text=True)
+            if done.returncode:
+                raise RuntimeError((done.stderr or done.stdout).splitlines()[-1])
+    answer = json.loads(done.stdout.splitlines()[-1])
+    if answer['unlike_torques'] or answer['unlike_terms']:
+        raise RuntimeError(f'the C library differs from Python: {answer}')
+    return answer
+
+
+def record_c_inputs(tick, path):
+    """Export the controller of all measurements to `tick`; write what it is given to a file."""
+    loop = ClosedLoop(resolve_setup())
+    export_library(loop.control, tick)
+    memory = np.zeros(1, record_dtype(make_memory_record(loop.control)))
+    fields = memory.dtype.fields
+    columns = len(memory['contacts'][0])
+    ticks = np.zeros(
+        loop.setup.ticks,
+        np.dtype(
+            [
+                ('sample', INPUT),
+                ('wanted', record_dtype(Task)),
+                ('alpha_wanted', 'f8', columns),
+                ('contact_wanted', '?', columns),
+                ('terms', fields['terms'][0]),
+                ('torque', 'f8', len(memory['joints'][0])),
+            ],
+            align=True,
+        ),
+    )
+    for row in ticks:
+        output = loop.answer()
+        copy_memory(loop.control, memory)
+        row['sample'] = memory['stages'][0, 0]['sample']
+        row['wanted'] = memory['controls'][0, 0]['wanted']
+        row['alpha_wanted'] = memory['contacts'][0]['alpha_wanted']
+        row['contact_wanted'] = memory['contacts'][0]['wanted']
+        row['terms'] = memory['terms'][0]
+        row['torque'] = output.torque
+        loop.act()
+    loop.close()
+    ticks.tofile(path)
+
+
 def bench_tsid(python, result):
     """
     Return TSID's times on the samples, beside those of the law alone in `result`.
@@ -382,6 +450,7 @@ def main(arguments=None):
         'plant': partial(bench_plant, min(count, 5000)),
         'contacts': partial(bench_contacts, max(200, count // 10)),
     }
+    measurements['C tick'] = partial(bench_c_tick, count)
     if options.seconds:
         measurements['graph'] = partial(bench_graph, options.seconds)
     measurements['law over TSID'] = partial(bench_tsid, options.tsid_python, result)
@@ -419,6 +488,14 @@ def print_tables(result):
     print(pd.DataFrame(rows).round(2).to_string(index=False))
     medians = ' '.join(f'{median:.0f}' for median in result['contacts'].values())
     print('law, 1 to 6 contacts:', medians)
+    if 'C tick' in result:
+        rows = {name: result['C tick'][name] for name in ('with pinocchio', 'without')}
+        print('C tick [us]:')
+        print(pd.DataFrame(rows).T.round(2).to_string())
+    if 'C tick' in result and 'law over TSID' in result:
+        tsid = result['law over TSID']['floor_us']['p50']
+        p50 = result['C tick']['with pinocchio']['p50']
+        print(f'C tick with pinocchio over TSID: {p50 / tsid:.2f}')
     if 'graph' in result:
         graph = pd.json_normalize(list(result['graph'].values()))
         print(graph.set_axis(list(result['graph'])).T.to_string())

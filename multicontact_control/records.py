@@ -92,28 +92,29 @@ def record_dtype(record: type) -> np.dtype[np.void]:
     `Annotated[Vector, 3]` is a field of three numbers, `Annotated[Records[Joint], 12]` one of
     twelve records.
     """
-    fields = get_type_hints(record, include_extras=True)
-    return np.dtype(
-        [(name, *_field_dtype(kind)) for name, kind in fields.items()], align=True
-    )
+    fields: list[tuple[Any, ...]] = []
+    for name, kind in get_type_hints(record, include_extras=True).items():
+        element, shape = describe_field(kind)
+        if not issubclass(element, np.generic):
+            element = record_dtype(element)
+        fields.append((name, element, shape))
+    return np.dtype(fields, align=True)
 
 
-def _field_dtype(kind: Any) -> tuple[Any, ...]:
-    """Return the dtype of a field's element, and its shape if it has more than one."""
-    if kind in NUMBERS:
-        return (NUMBERS[kind],)
+def describe_field(kind: Any) -> tuple[Any, tuple[int, ...]]:
+    """Return the element of a field, a type of numpy or a record, and its shape, () for one."""
     if get_origin(kind) is Annotated:
         array, *shape = get_args(kind)
-        return *_field_dtype(array), tuple(shape)
+        return describe_field(array)[0], tuple(shape)
     if get_origin(kind) is Records:
-        return _field_dtype(get_args(kind)[0])
+        return describe_field(get_args(kind)[0])
     # From numpy 2.5 on NDArray is an alias with a name of its own.
     if get_origin(kind) is NDArray:
-        return get_args(kind)
+        return get_args(kind)[0], ()
     if get_origin(kind) is np.ndarray:
         element = get_args(kind)[1]
-        return get_args(element)
-    return (record_dtype(kind),)
+        return get_args(element)[0], ()
+    return NUMBERS.get(kind, kind), ()
 
 
 MAX_ORDER = 3  # of an observer's active state

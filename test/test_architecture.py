@@ -29,6 +29,7 @@ LAYERS = {
     'client': 6,
     'judging': 7,
     'commissioning': 8,
+    'export': 8,
     'faults': 8,
     'study': 9,
     'view': 9,
@@ -54,7 +55,7 @@ TORQUE_PATH = (
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 9_650,
+    TOP: 9_750,
     'dynamics': 8_100,
     'contact': 4_600,
     'force': 16_000,
@@ -68,15 +69,16 @@ BUDGETS = {
     'runs': 17_600,
     'judging': 27_400,
     'commissioning': 6_900,
+    'export': 4_500,
     'faults': 12_200,
     'study': 20_200,
     'view': 20_580,
     'learning': 8_770,
-    'cli': 7_750,
+    'cli': 8_050,
     'sim_bridge': 31_500,
-    'test': 195_300,
+    'test': 199_300,
     'test/campaign': 9_200,
-    'benchmarks': 4_650,
+    'benchmarks': 7_050,
 }
 MOST_COMPILED = 217  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and

@@ -49,6 +49,7 @@ YOURS = {
 }
 OTHERS = (
     '. ',
+    'cmake',
     'controller_node --autostart --ros-args',
     'cp',
     'dask',
@@ -56,6 +57,7 @@ OTHERS = (
     'lerobot-train',
     'noise_estimator_node --autostart --ros-args',
     'pip install',
+    'python benchmarks/',
     'python docs/',
     'python ur_wrench.py',
     'python3 -m venv',

@@ -11,6 +11,7 @@ from multicontact_control import __version__
 from multicontact_control.cli import options
 from multicontact_control.cli.dataset import dataset
 from multicontact_control.cli.design import design
+from multicontact_control.cli.export import export
 from multicontact_control.cli.follow import follow
 from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.robot import calibrate, new_robot, push_test
@@ -49,9 +50,19 @@ COMMANDS = (
     push_test,
     new_robot,
     design,
+    export,
 )
 # That need at least one argument.
-WITH_ARGUMENTS = (follow, report, dataset, study, identify, new_robot, design)
+WITH_ARGUMENTS = (
+    follow,
+    report,
+    dataset,
+    study,
+    identify,
+    new_robot,
+    design,
+    export,
+)
 
 app = typer.Typer(
     pretty_exceptions_enable=False,

@@ -140,6 +140,27 @@ class SetupOptions:
         arguments = {name: getattr(self, name, None) for name in names}
         return resolve_with(resolve, arguments, self.list_settings(), nodes=nodes)
 
+    def external(self, files: Sequence[Path], context: typer.Context) -> Setup:
+        """
+        Return the configuration of the robot behind the topics, checked.
+
+        `files` are the parameter files of its controller. Scenario and preset count if they were
+        given on the command line: their defaults are for the simulated arm. Raises ConfigError.
+        """
+        from multicontact_control.runs.overrides import resolve_with
+        from multicontact_control.runs.scenario import resolve_external
+
+        arguments: dict[str, Any] = {
+            'files': files,
+            'duration': getattr(self, 'duration', None),
+        }
+        for name in ('scenario', 'preset'):
+            if is_given(context, name):
+                arguments[name] = getattr(self, name)
+        return resolve_with(
+            resolve_external, arguments, self.list_settings(), nodes=True
+        )
+
 
 @dataclass(frozen=True)
 class RunOptions(SetupOptions):
@@ -174,24 +195,6 @@ class RunOptions(SetupOptions):
         bool,
         typer.Option('--bare', help='The control law alone, without its supervisor.'),
     ] = False
-
-    def external(self, files: Sequence[Path], context: typer.Context) -> Setup:
-        """
-        Return the configuration of the robot behind the topics, checked.
-
-        `files` are the parameter files of its controller. Scenario and preset count if they were
-        given on the command line: their defaults are for the simulated arm. Raises ConfigError.
-        """
-        from multicontact_control.runs.overrides import resolve_with
-        from multicontact_control.runs.scenario import resolve_external
-
-        arguments: dict[str, Any] = {'files': files, 'duration': self.duration}
-        for name in ('scenario', 'preset'):
-            if is_given(context, name):
-                arguments[name] = getattr(self, name)
-        return resolve_with(
-            resolve_external, arguments, self.list_settings(), nodes=True
-        )
 
 
 def flatten_options(command: Callable[..., None]) -> Callable[..., None]:

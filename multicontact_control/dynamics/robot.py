@@ -295,6 +295,15 @@ class RobotModel:
         parameters: Vector = self._mount.placement.act(inertia).toDynamicParameters()
         return parameters
 
+    def save_model(self) -> str:
+        """
+        Return the model as text that pinocchio of the same version loads, also in C++.
+
+        Armature, gravity, locked joints and the load are in it.
+        """
+        text: str = self._model.saveToString()
+        return text
+
     def compute_link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
         """Return the poses of links at positions, shape (n,) [rad]; ConfigError if unknown."""
         require_shape('q', q, (self._model.nv,))

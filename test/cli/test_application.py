@@ -63,6 +63,11 @@ import pytest
             ('design', 'pi', '--stiffness', '9', '1'),
             '--stiffness: expected softest and stiffest',
         ),
+        (('export', 'out', '--target', 'pdp11-unknown'), '--target: expected'),
+        (
+            ('export', 'out', '--controller', 'mine.yaml', '--robot', 'fr3'),
+            '--robot: leave it out with --controller',
+        ),
     ],
 )
 def test_bad_input_exits_with_two_and_one_line(
