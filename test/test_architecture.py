@@ -56,7 +56,7 @@ TORQUE_PATH = (
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: 9_750,
-    'dynamics': 8_100,
+    'dynamics': 8_200,
     'contact': 4_600,
     'force': 16_000,
     'control': 17_150,

@@ -27,8 +27,8 @@ from multicontact_control.learning.rewards import EpisodeStep, REWARDS
 from multicontact_control.learning.worlds import Worlds
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.compilation import ensure_compiled
+from multicontact_control.supervision.causes import INFLATE, NONE
 from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
-from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from numpy.typing import NDArray
 from sim_bridge.picture import Image, take_picture

