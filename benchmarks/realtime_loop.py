@@ -40,6 +40,7 @@ from sim_bridge.plant import Plant
 HERE = Path(__file__).resolve().parent
 PRIORITY = 60  # of SCHED_RR
 FORCE = 5.0  # N, on every surface
+DELAY_TICKS = 2  # periods from a sample to the torque that answers it
 SIMULATOR_CPU, CONTROLLER_CPU = 0, 1
 START_TIME = 0.5  # s, of cycles that are not counted
 SPIN = 2e-4  # s before a period ends, in which the simulator waits awake
@@ -69,8 +70,16 @@ def become_real_time(priority):
 
 def resolve_setup(rate, robot):
     """Return the setup of the arm, before its surfaces, at a rate [Hz]."""
-    rates = {'controller': {'rate': rate}, 'noise_estimator': {'rate': rate}}
-    return resolve('quick', robot=robot, plant='rigid', preset='best', **rates)
+    controller = {'rate': rate, 'force': {'input_delay': DELAY_TICKS / rate}}
+    return resolve(
+        'quick',
+        robot=robot,
+        plant='rigid',
+        preset='best',
+        controller=controller,
+        noise_estimator={'rate': rate},
+        plant_overrides={'actuator_delay_ticks': DELAY_TICKS},
+    )
 
 
 def control(setup, port, priority):

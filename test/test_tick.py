@@ -13,10 +13,12 @@ import pytest
 PRESSED = 2500  # ticks, after which both contacts are
 
 
-@pytest.mark.parametrize('preset', ['best', 'adaptive'])
-def test_tick_allocates_nothing_but_what_hands_over_its_arguments(preset):
+@pytest.mark.parametrize(
+    ('scenario', 'preset'), [('quick', 'best'), ('quick', 'adaptive'), ('edge', 'best')]
+)
+def test_tick_allocates_nothing_but_what_hands_over_its_arguments(scenario, preset):
     """Of each array that Python hands over, numba makes a header; also near a singular posture."""
-    loop = ClosedLoop(resolve('quick', preset=preset, plant='rigid'))
+    loop = ClosedLoop(resolve(scenario, preset=preset, plant='rigid'))
     for _ in range(PRESSED):
         loop.advance()
     assert loop.control.output.answer['active'].all()

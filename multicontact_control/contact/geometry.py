@@ -51,7 +51,8 @@ def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
             contact.N[3:] = component_across(direction, normal)
         else:
             contact.N[3:] = cross(direction, normal)
-        contact.N[3:] *= config.half_length
+        for k in range(3, 6):  # not as a slice: of one to itself numba makes a copy
+            contact.N[k] *= config.half_length
 
 
 def normal_space(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:

@@ -28,8 +28,8 @@ define i64 @{name}(ptr %memory{arguments}) {{
   ret i64 %value
 }}
 """
-# In Python an assignment between arrays of unlike shapes allocates what it raises. Shapes are
-# those of the configuration, with which Python runs the same code: here it ends the program.
+# Numba allocates where an assignment between slices overlaps itself, which no kernel does, and
+# what it raises where shapes do not fit. There is no memory for either here: the program ends.
 NO_ALLOCATION = """
 declare void @llvm.trap()
 define ptr @NRT_Allocate(i64 %size) noreturn {

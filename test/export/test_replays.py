@@ -16,6 +16,7 @@ from multicontact_control.runs.scenario import resolve
 from multicontact_control.study.presets import faults
 from multicontact_control.study.presets.faults import PHASE_TIMES
 import pytest
+from robots import has_urdf
 
 FAULTS_EACH = 68  # of each phase
 CHECKED_TICKS = 500  # by programs that are slow
@@ -34,9 +35,14 @@ def build(loop: ClosedLoop, folder: Path, *options: str, target: str = '') -> Pa
         ('paper', {}),
         ('paper', {'preset': 'paper'}),
         ('edge', {}),
+        ('plane', {}),
         ('disturbance', {}),
         ('quick', {'robot': 'panda'}),
-        ('quick', {'robot': 'fr3'}),
+        pytest.param(
+            'quick',
+            {'robot': 'fr3'},
+            marks=pytest.mark.skipif(not has_urdf('fr3'), reason='needs [franka]'),
+        ),
     ],
 )
 def test_tick_of_a_run_is_that_of_python(scenario, options, tmp_path):
