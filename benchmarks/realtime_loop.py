@@ -40,6 +40,7 @@ from sim_bridge.plant import Plant
 HERE = Path(__file__).resolve().parent
 PRIORITY = 60  # of SCHED_RR
 FORCE = 5.0  # N, on every surface
+SUBSTEP = 1e-3  # s, at most, of the engine
 DELAY_TICKS = 2  # periods from a sample to the torque that answers it
 SIMULATOR_CPU, CONTROLLER_CPU = 0, 1
 START_TIME = 0.5  # s, of cycles that are not counted
@@ -78,7 +79,10 @@ def resolve_setup(rate, robot):
         preset='best',
         controller=controller,
         noise_estimator={'rate': rate},
-        plant_overrides={'actuator_delay_ticks': DELAY_TICKS},
+        plant_overrides={
+            'actuator_delay_ticks': DELAY_TICKS,
+            'substep': min(SUBSTEP, 1.0 / rate),
+        },
     )
 
 
