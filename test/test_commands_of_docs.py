@@ -48,6 +48,7 @@ YOURS = {
     'ur.yaml',
 }
 OTHERS = (
+    'python examples/learn_to_wipe.py',
     '. ',
     'cmake',
     'controller_node --autostart --ros-args',

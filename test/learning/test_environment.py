@@ -32,6 +32,7 @@ ARMS = {
 }
 GENTLE = 0.3  # share of the largest actions, that no surface is lost by
 BRAKED = 1.05  # of a speed at which the arm begins to be braked
+LEFT = 1.25  # of a force at which a contact is left
 RANDOM_WORLD = {
     'plant': 'rigid',
     'randomise': {
@@ -437,8 +438,9 @@ class Watch:
             self.note('speed', np.linalg.norm(twist[:3]), fastest)
             fastest = BRAKED * SPEED_ALARM_FACTOR * limits.operational_turn
             self.note('turn', np.linalg.norm(twist[3:]), fastest)
+            # Beyond the ceiling a contact is left, which takes some ticks.
             ceiling = config.contact_state.force_ceiling
-            self.note('force', sample.contact_force, ceiling)
+            self.note('force', sample.contact_force, LEFT * ceiling)
             return output
 
         loop.advance = watched
