@@ -109,7 +109,7 @@ lint: $(TEST_STAMP)  ## Check style and types
 check: $(READY) lint  ## For every commit, a minute: style, types, unit tests
 	@$(WITH_ROS) exec $(PYTEST) -m 'not (ros or slow or nightly)' $(TEST_ARGS)
 
-test: $(READY) lint  ## Check style and types, then run the tests: six minutes
+test: $(READY) lint  ## Check style and types, then run the tests: twenty minutes
 	@$(WITH_ROS) exec $(PYTEST) -m 'not nightly' $(TEST_ARGS)
 
 nightly: $(READY)  ## What takes long: packaging, documents, browser, clusters, all robots, studies
