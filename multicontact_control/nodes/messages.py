@@ -32,7 +32,10 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectory
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
 NUMBERS = 'iuf'  # kinds of numpy: text and truth values are none, though numpy reads them as such
-LAST_SECOND = 2**31 - 1  # that a stamp can hold
+SECONDS = range(-(2**31), 2**31)  # of a stamp
+# Of an input's stamp: a day less at either end, since answers carry later stamps while time is
+# counted on without inputs.
+INPUT_SECONDS = range(-(2**31) + 86_400, 2**31 - 86_400)
 JOINT_FIELDS = ('position', 'velocity', 'effort')  # of a JointState, in its order
 # Commands that have their identifier in the header.
 WITH_HEADER = JointState, MultiDOFJointTrajectory
@@ -51,6 +54,14 @@ def ns_to_stamp(nanoseconds: int) -> Time:
     """Return whole nanoseconds as a time stamp: the inverse of `stamp_to_ns`."""
     seconds, remainder = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=seconds, nanosec=remainder)
+
+
+def read_stamp(header: Header) -> int:
+    """Return the stamp of an input [ns]; MessageError if its second is outside `INPUT_SECONDS`."""
+    if header.stamp.sec not in INPUT_SECONDS:
+        first, last = INPUT_SECONDS[0], INPUT_SECONDS[-1]
+        raise MessageError('header.stamp.sec', f'{first} to {last}', header.stamp.sec)
+    return stamp_to_ns(header.stamp)
 
 
 def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
@@ -181,7 +192,7 @@ def read_named_vectors(
     Raises
     ------
     MessageError
-        If a name is missing or there twice, or one of `fields` is unusable.
+        If a name is missing or there twice, one of `fields` is unusable, or so is the stamp.
 
     """
     given = list(message.name)
@@ -201,14 +212,14 @@ def read_named_vectors(
                 field, format_count(len(given), 'finite values'), values.tolist()
             )
         vectors.append(vector)
-    return stamp_to_ns(message.header.stamp), *vectors
+    return read_stamp(message.header), *vectors
 
 
 def read_variance(message: JointState, names: Sequence[str]) -> tuple[int, Vector]:
     """
     Return the stamp of a message [ns] and R, a variance above 0 per name, shape (names,) [N^2].
 
-    MessageError if a name or number is missing, or a number is not above 0.
+    MessageError if a name or number is missing, a number is not above 0, or the stamp is unusable.
     """
     stamp, variance = read_named_vectors(message, names, ('effort',))
     if min(variance.tolist()) <= 0.0:
@@ -221,7 +232,7 @@ def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
     Return the stamp of a message [ns] and its wrench, shape (6,) [N, N m].
 
     A message has to name its frame as `frame`, or none at all; an empty `frame` takes any.
-    MessageError if it names another one, or a number is not finite.
+    MessageError if it names another one, or its stamp or a number is unusable.
     """
     given = message.header.frame_id.lstrip('/')
     if frame and given not in ('', frame):
@@ -229,7 +240,7 @@ def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
             'header.frame_id', f"'{frame}' (robot.sensor_frame), or none", f"'{given}'"
         )
     wrench = _list_numbers('xyz', message.wrench.force, message.wrench.torque)
-    return stamp_to_ns(message.header.stamp), finite_array(wrench, 6, 'wrench')
+    return read_stamp(message.header), finite_array(wrench, 6, 'wrench')
 
 
 def read_force_command(

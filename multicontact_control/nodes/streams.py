@@ -16,7 +16,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.messages import finite_array, LAST_SECOND
+from multicontact_control.nodes.messages import finite_array, INPUT_SECONDS, SECONDS
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
@@ -79,8 +79,8 @@ class StreamPublisher:
         if values.size != len(self._places) or not math.isfinite(values.sum()):
             finite_array(values, len(self._places), 'numbers')  # raises the error
         seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-        if abs(seconds) > LAST_SECOND:
-            raise MessageError('stamp.sec', f'at most {LAST_SECOND}', seconds)
+        if seconds not in SECONDS:
+            raise MessageError('stamp.sec', f'{SECONDS[0]} to {SECONDS[-1]}', seconds)
         self._words[self._places] = values
         STAMP.pack_into(self._bytes, HEADER, seconds, nanoseconds)
         return bytes(self._bytes)
@@ -124,6 +124,7 @@ class MessageReader:
             if (
                 words[self._constant_places].tobytes() == self._constant_bytes
                 and nanoseconds < NANOSECONDS
+                and seconds in INPUT_SECONDS
                 and math.isfinite(sum(words[self._number_places].tolist()))
             ):
                 vectors = [words[places] for places in self._vector_places]

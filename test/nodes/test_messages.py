@@ -40,6 +40,7 @@ SIX = st.lists(NUMBER, min_size=6, max_size=6)
 NUMBERS = st.one_of(
     st.lists(NUMBER, max_size=8), SIX, st.lists(NUMBER, min_size=2, max_size=2)
 )
+DAY = 86_400
 SECONDS = st.integers(-(2**31), 2**31 - 1)
 ANY_STAMP = st.builds(Time, sec=SECONDS, nanosec=st.integers(0, 2**32 - 1))
 TICK_STAMP = st.integers(0, 400).map(lambda k: messages.ns_to_stamp(k * PERIOD))
@@ -103,6 +104,11 @@ def by_hand(message, names, field):
     return ours
 
 
+def too_far(stamp):
+    """Return whether a stamp is within a day of the ends of ROS's time."""
+    return not -(2**31) + DAY <= stamp.sec < 2**31 - DAY
+
+
 POSITION = JOINT_FIELDS[:1]
 OTHER_FIELDS = JOINT_FIELDS[1:]
 
@@ -136,9 +142,9 @@ def read(message, names, fields, optional=()):
 def test_joint_readers_read_by_name_or_refuse(message, names):
     with_position = [by_hand(message, names, field) for field in JOINT_FIELDS]
     whole = with_position
-    if None in whole:
+    if None in whole or too_far(message.header.stamp):
         whole = None
-    if with_position[0] is None:
+    if with_position[0] is None or too_far(message.header.stamp):
         with_position = None
     assert read(message, names, POSITION, OTHER_FIELDS) == with_position
     assert read(message, names, JOINT_FIELDS) == whole
@@ -156,7 +162,8 @@ def test_joints_of_others_are_passed_over_whatever_their_numbers():
 def test_read_wrench_reads_every_bit_or_refuses(message, frame):
     message.header.frame_id = frame
     numbers = numbers_in(message.wrench)
-    if frame == 'tool0' or not math.isfinite(sum(numbers)):
+    unusable = frame == 'tool0' or not math.isfinite(sum(numbers))
+    if unusable or too_far(message.header.stamp):
         with pytest.raises(MessageError):
             messages.read_wrench(message, 'ft')
     else:
@@ -269,6 +276,18 @@ def test_stream_writes_efforts_behind_names_of_any_length(middleware, size):
         assert_stream_writes(
             middleware.node, topics.EFFORT_COMMAND, pattern, expected, effort
         )
+
+
+@pytest.mark.parametrize('second', [-(2**31), 2**31 - 1])
+def test_reader_in_place_refuses_a_stamp_that_answers_could_not_follow(second):
+    message = six()
+    reader = MessageReader(
+        JointState, partial(messages.read_named_vectors, names=JOINTS, fields=POSITION)
+    )
+    reader(serialize_message(message))
+    message.header.stamp.sec = second
+    with pytest.raises(MessageError, match=r'^header.stamp.sec: expected'):
+        reader(serialize_message(message))
 
 
 @pytest.mark.ros
