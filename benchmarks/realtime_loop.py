@@ -3,7 +3,7 @@ A simulated arm in real time, controlled over UDP by the C example and by the Py
 
 ``python benchmarks/realtime_loop.py --rate 1000 --seconds 60``, after `multicontact compile`. The
 simulator has one processor, the controller another. In each period a sample goes out; a cycle is
-lost if the torque that answers it has not come when the next one is due. Latencies are those of
+lost if the torque that answers it has not come a period later. Latencies are those of
 the simulator, from sending a sample to having its torque. Simulator and controllers run with
 SCHED_RR and without; what is asked for and not granted is said.
 """
@@ -166,7 +166,7 @@ def simulate(setup, port, seconds):
         sent = time.perf_counter()
         link.send(message)
         while True:
-            left = due - time.perf_counter()
+            left = sent + period - time.perf_counter()
             if left <= 0.0:
                 break
             if not select.select([link], [], [], left)[0]:

@@ -173,9 +173,10 @@ def diagonalise(A: Matrix, vectors: Matrix) -> None:
                 beside += A[i, j] * A[i, j]
         if not beside > SMALLEST_SQUARE * total:  # or they are not numbers
             return
+        negligible = SMALLEST_SQUARE * total / (n * n)
         for i in range(n):
             for j in range(i + 1, n):
-                if A[i, j] != 0.0:
+                if A[i, j] * A[i, j] > negligible:
                     rotate_pair(A, vectors, i, j)
 
 
