@@ -102,18 +102,25 @@ def _completion_file(folder: Path) -> Path:
 
 def compile_beside() -> None:
     """
-    Compile what works without the law: plant, inputs, task and gate.
+    Compile what works without the law: inputs, task, reactions, gate and plant.
 
     In a process of its own, on another core. What fails there is compiled by what follows.
     """
-    from multicontact_control.dynamics.operational_space import INERTIA_SPACE
     from multicontact_control.dynamics.terms import ModelTerms
+    from multicontact_control.force.force_law import FORCE_LAW
     from multicontact_control.records import CONTACT, CONTROL, JOINT
     from multicontact_control.runs.scenario import resolve
+    from multicontact_control.supervision.checks import JUDGEMENT
     from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
     from multicontact_control.supervision.contacts import CONTACT_STATE
-    from multicontact_control.supervision.gate import GATE_STATE, pass_gate
+    from multicontact_control.supervision.decisions import react
+    from multicontact_control.supervision.gate import GATE_STATE
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
+    from multicontact_control.supervision.tick_records import (
+        SUPERVISION,
+        TickRecords,
+        WORKSPACE,
+    )
     from sim_bridge.plant import Plant
 
     rotation = np.eye(3, order='F')
@@ -128,18 +135,35 @@ def compile_beside() -> None:
         sensor_position=np.zeros(3),
         sensor_rotation=rotation,
     )
-    joints: Any = np.zeros(6, dtype=JOINT)
-    controls: Any = np.zeros(1, dtype=CONTROL)
-    contacts: Any = np.zeros(2, dtype=CONTACT)
-    states: Any = np.zeros(2, dtype=CONTACT_STATE)
-    gates: Any = np.zeros(1, dtype=GATE_STATE)
-    limits: Any = np.zeros(1, dtype=TASK_LIMITS)
-    stages: Any = np.zeros(1, dtype=INPUT_STAGE)
-    stages['settings']['commands'] = 2
-    inertia: Any = np.zeros(1, dtype=INERTIA_SPACE)
-    pass_gate(gates[0], joints, controls[0], contacts, terms, inertia[0], 0)
-    limit_task(limits[0], controls[0], contacts, states)
-    check_inputs(stages, np.zeros(6), np.zeros(6), joints, controls, contacts)
+
+    def make_records(count: int, dtype: Any) -> Any:
+        return np.zeros(count, dtype=dtype)
+
+    records = TickRecords(
+        joints=make_records(6, JOINT),
+        controls=make_records(1, CONTROL),
+        contacts=make_records(2, CONTACT),
+        laws=make_records(2, FORCE_LAW),
+        fresh_laws=make_records(2, FORCE_LAW),
+        states=make_records(2, CONTACT_STATE),
+        stages=make_records(1, INPUT_STAGE),
+        supervisions=make_records(1, SUPERVISION),
+        limits=make_records(1, TASK_LIMITS),
+        judgements=make_records(1, JUDGEMENT),
+        gates=make_records(1, GATE_STATE),
+        workspaces=make_records(1, WORKSPACE),
+    )
+    records.stages['settings']['commands'] = 2
+    react(records, terms)
+    limit_task(records.limits[0], records.controls[0], records.contacts, records.states)
+    check_inputs(
+        records.stages,
+        np.zeros(6),
+        np.zeros(6),
+        records.joints,
+        records.controls,
+        records.contacts,
+    )
     for name in ('flexible', 'rigid'):
         setup = resolve('quick', plant=name)
         plant = Plant(setup.plant, rate=setup.controller.rate, seed=0)
