@@ -191,9 +191,8 @@ def add_reach_bounds(
             space.rates[:n],
             gradient,
         )
-        for j in range(
-            n
-        ):  # so that it closes in where this times the speeds is positive
+        # So that it closes in where this times the speeds is positive.
+        for j in range(n):
             gradient[j] *= -0.5 / size
             closing += gradient[j] * joints[j].velocity
         allowed = REACH_RATE * max(size - SINGULAR_ROOT, 0.0)

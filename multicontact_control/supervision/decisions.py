@@ -259,9 +259,7 @@ def react(records: TickRecords, terms: ModelTerms) -> int:
     n = joints.shape[0]
     sees_arm = supervision.seen and not supervision.blind
     if supervision.seen and not sees_arm:
-        supervision.reaction = (
-            TO_FLOAT  # what is not seen is neither held nor slowed down
-        )
+        supervision.reaction = TO_FLOAT  # it is neither held nor slowed down unseen
     if supervision.reaction != TO_SAFE:
         supervision.reaction = steady_reaction(
             supervision.hysteresis, supervision.reaction
