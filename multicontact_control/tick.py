@@ -29,7 +29,6 @@ from multicontact_control.supervision.causes import (
     TO_INFLATE,
 )
 from multicontact_control.supervision.checks import judge_answer
-from multicontact_control.supervision.contact_task import limit_task
 from multicontact_control.supervision.decisions import (
     begin_acting,
     decide,
@@ -40,6 +39,7 @@ from multicontact_control.supervision.decisions import (
 )
 from multicontact_control.supervision.gate import number_of_law, pass_gate
 from multicontact_control.supervision.input_checks import FINE
+from multicontact_control.supervision.task_limits import limit_task
 from multicontact_control.supervision.tick_records import RecordTuple, TickRecords
 
 # Stages of a tick.

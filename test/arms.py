@@ -14,7 +14,8 @@ from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import FORCES_AMBIGUOUS
 from multicontact_control.paths import find_config_folder
-from multicontact_control.supervision.contact_task import ContactTask, limit_task
+from multicontact_control.supervision.contact_task import ContactTask
+from multicontact_control.supervision.task_limits import limit_task
 import numpy as np
 from sim_bridge.config import PlantConfig
 

@@ -61,7 +61,7 @@ BUDGETS = {
     'force': 16_000,
     'control': 17_150,
     LOOP: 4_200,
-    'supervision': 31_300,
+    'supervision': 31_400,
     'diagnosis': 3_400,
     'sensor': 3_300,
     'config': 6_800,

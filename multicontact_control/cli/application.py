@@ -90,7 +90,7 @@ def _root(
 
 
 def compile_kernels() -> None:
-    """Compile the numerical kernels now, in half a minute, instead of at the first run."""
+    """Compile the numerical kernels now, in a minute, instead of at the first run."""
     from multicontact_control.runs.compilation import ensure_compiled
 
     typer.echo(f'{ensure_compiled()} kernels compiled')

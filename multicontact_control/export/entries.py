@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from multicontact_control.supervision.contact_task import hold_task, lock_task
 from multicontact_control.supervision.decisions import retry, stop_control
 from multicontact_control.supervision.gate import start_blend, update_added_torque
 from multicontact_control.supervision.input_checks import check_inputs
+from multicontact_control.supervision.task_limits import hold_task, lock_task
 from multicontact_control.supervision.tick_records import TickRecords
 from multicontact_control.tick import answer_error, SEE, tick
 from numba import carray

@@ -51,7 +51,7 @@ def ensure_compiled() -> int:
     # The system frees the lock when this process ends.
     with (folder / LOCK_FILE).open('w') as lock:
         console.print(
-            'compiling the numerical kernels, once (half a minute on two cores), into '
+            'compiling the numerical kernels, once (a minute on two cores), into '
             f'{folder}'
         )
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -111,11 +111,12 @@ def compile_beside() -> None:
     from multicontact_control.records import CONTACT, CONTROL, JOINT
     from multicontact_control.runs.scenario import resolve
     from multicontact_control.supervision.checks import JUDGEMENT
-    from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
     from multicontact_control.supervision.contacts import CONTACT_STATE
     from multicontact_control.supervision.decisions import react
     from multicontact_control.supervision.gate import GATE_STATE
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
+    from multicontact_control.supervision.reference import TASK_LIMITS
+    from multicontact_control.supervision.task_limits import limit_task
     from multicontact_control.supervision.tick_records import (
         SUPERVISION,
         TickRecords,

@@ -34,7 +34,6 @@ from multicontact_control.supervision.causes import (
     WAITING,
 )
 from multicontact_control.supervision.command_limits import START_EXCESS
-from multicontact_control.supervision.contact_task import restart_task, resume_task
 from multicontact_control.supervision.contacts import GIVEN_UP
 from multicontact_control.supervision.gate import (
     begin_torque,
@@ -59,6 +58,7 @@ from multicontact_control.supervision.recovery import (
     steady_reaction,
     unlatch_control,
 )
+from multicontact_control.supervision.task_limits import restart_task, resume_task
 from multicontact_control.supervision.tick_records import TickRecords
 
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again

@@ -18,12 +18,12 @@ from multicontact_control.records import (
     Records,
 )
 from multicontact_control.supervision.checks import Judgement
-from multicontact_control.supervision.contact_task import TaskLimits
 from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.gate import GateState
 from multicontact_control.supervision.input_checks import InputStage
 from multicontact_control.supervision.reactions import ReactionState
 from multicontact_control.supervision.recovery import Hysteresis, Recovery
+from multicontact_control.supervision.reference import TaskLimits
 
 
 class Workspace(Record, Protocol):

@@ -19,11 +19,8 @@ from multicontact_control.control.tasks import (
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision import contacts
-from multicontact_control.supervision.contact_task import (
-    ContactTask,
-    limit_task,
-    resume_task,
-)
+from multicontact_control.supervision.contact_task import ContactTask
+from multicontact_control.supervision.task_limits import limit_task, resume_task
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 import numpy as np
