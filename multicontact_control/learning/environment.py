@@ -45,7 +45,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
     An arm that presses and moves, behind the supervisor, as an environment of gymnasium.
 
     An action asks, the controller obeys as far as the supervisor lets it. What was not obeyed is
-    in the `info` of the step, with its cause: `clipped` and `refused` (of the action),
+    in the `info` of the step, with its cause: `clipped`, `refused` and `limited` (of the action),
     `left_out` (of the motion), `limits` and `rejected` (of the supervisor), `reaction` and
     `causes`. An episode is terminated when the supervisor takes the arm from the controller,
     and truncated at its end; `ended` says why.

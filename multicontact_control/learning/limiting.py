@@ -109,32 +109,34 @@ class ActionLimiter:
         Return forces and couples by name [N] that are as near to the wanted ones as is safe.
 
         A force changes at a bounded rate, and a contact is let go from the smallest one. It is
-        sought anew once nothing has been felt there for a while, and until it holds no contact has
-        more than the smallest. Couples keep their centres of pressure.
+        sought anew once nothing has been felt there for a while, and until it holds no other one
+        has more than the smallest or is let go. Couples keep their centres of pressure.
         """
         smallest = self._controller.contact_state.smallest_force
         change = FORCE_RATE * self._length
         forces = dict(wanted)
         names = self._controller.contact_names
         sought = {name for name in names if wanted[name] > 0.0 and before[name] == 0.0}
+        makes = bool(sought) or self._makes_contact
         pressed_hard = any(before[name] > smallest for name in names)
         for name, state, free_time in zip(names, self._states, self._free_time):
             force = wanted[name]
             last = before[name]
+            stays = force > 0.0 or (makes and state == HOLDING)
             if name in sought and (free_time < FREE_TIME or pressed_hard):
                 forces[name] = 0.0
             elif force > 0.0 and state != HOLDING:
                 forces[name] = smallest
-            elif last > 0.0 and force > 0.0 or last > smallest:
+            elif last > smallest or (last > 0.0 and stays):
                 largest = last + change
-                if sought or self._makes_contact:
+                if makes:
                     largest = smallest
                 if last * WRENCH_SHARE < largest * self._load:
                     largest = last * WRENCH_SHARE / self._load
                     self.limited.add(OVERLOADED)
                 forces[name] = max(min(force, largest), last - change, smallest)
             if forces[name] != force:
-                self.limited.add(MAKING if sought or self._makes_contact else HELD_BACK)
+                self.limited.add(MAKING if makes else HELD_BACK)
         for column in self._controller.columns:
             leader = self._controller.columns[column.leader].name
             if column.half_length and column.name in wanted and wanted[leader] > 0.0:
