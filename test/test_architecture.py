@@ -73,7 +73,7 @@ BUDGETS = {
     'faults': 12_200,
     'study': 20_200,
     'view': 20_580,
-    'learning': 8_770,
+    'learning': 10_500,
     'cli': 8_050,
     'sim_bridge': 31_500,
     'test': 199_300,

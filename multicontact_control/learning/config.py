@@ -55,6 +55,13 @@ class EnvironmentConfig(Config):
     turn: float = parameter(
         0.5, 'Angular speed about an axis that an action of 1 is.', unit='rad/s', gt=0.0
     )
+    largest_tilt: float = parameter(
+        0.3,
+        'Largest angle of the tool to its orientation at the beginning of an episode.',
+        unit='rad',
+        gt=0.0,
+        le=1.0,
+    )
     window: int = parameter(
         10, 'Newest samples of the measured forces in an observation.', ge=1, le=5000
     )

@@ -18,6 +18,7 @@ from multicontact_control.control.trajectory_checks import check_position
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.learning.actions import ActionLayout, Wishes
 from multicontact_control.learning.config import EnvironmentConfig
+from multicontact_control.learning.limiting import ActionLimiter, RAMP_SHARE
 from multicontact_control.learning.observations import (
     Observation,
     observation_space,
@@ -34,7 +35,6 @@ from numpy.typing import NDArray
 from sim_bridge.picture import Image, take_picture
 from sim_bridge.surface import SURFACE
 
-RAMP_SHARE = 0.1  # of the largest acceleration, by which a twist changes
 LONGEST_SETTLING = 5.0  # s, in which the contacts are made before an episode begins
 
 Action = NDArray[np.float32]
@@ -45,7 +45,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
     An arm that presses and moves, behind the supervisor, as an environment of gymnasium.
 
     An action asks, the controller obeys as far as the supervisor lets it. What was not obeyed is
-    in the `info` of the step, with its cause: `clipped` and `refused` (of the action),
+    in the `info` of the step, with its cause: `clipped`, `refused` and `limited` (of the action),
     `left_out` (of the motion), `limits` and `rejected` (of the supervisor), `reaction` and
     `causes`. An episode is terminated when the supervisor takes the arm from the controller,
     and truncated at its end; `ended` says why.
@@ -107,35 +107,48 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         self.close()
         setup, drawn = self._worlds.draw(self.np_random)
         controller = setup.controller
-        task = SteeredTask(controller.column_names, controller.leading_columns)
-        self.loop = loop = ClosedLoop(setup, source=task)
+        self._task = SteeredTask(controller.column_names, controller.leading_columns)
+        self.loop = loop = ClosedLoop(setup, source=self._task)
         self._forces: deque[Vector] = deque(maxlen=self.config.window)
         self._forces.extend([np.zeros(len(controller.columns))] * self.config.window)
         self._ended = ''
         # It keeps its place in memory as long as the plant is not reset.
         self._surfaces = np.asarray(loop.plant.contacts.surfaces)
-        self._press_contacts(loop)
+        free_reading = self._press_contacts(loop)
         self._plan_episode(loop)
-        self._twist = np.zeros(6)  # at the end of the step [m/s, rad/s]
+        self._limiter = ActionLimiter(
+            self.config,
+            controller,
+            self._ticks * controller.period,
+            loop.control.supervisor.task.reference_pose(),
+            free_reading,
+        )
         self._action: Vector = np.zeros(len(self.action_names))
         info = {**self._describe(loop), 'drawn': drawn}
         return self._observe(loop), info
 
-    def _press_contacts(self, loop: ClosedLoop) -> None:
-        """Let control begin and press every contact, for some seconds at most."""
+    def _press_contacts(self, loop: ClosedLoop) -> Vector:
+        """
+        Let control begin and press every contact, for some seconds at most.
+
+        Returns what they read before, shape (r,) [N].
+        """
         controller = loop.setup.controller
         force = self.config.initial_force
         wanted = STATE_NAMES[HOLDING]
         begun = False
+        free_reading = self._forces[-1]
         for _ in range(round(LONGEST_SETTLING * controller.rate)):
             self._advance(loop)
             if not begun and loop.control.supervisor.started:
                 begun = True
+                free_reading = self._forces[-1]
                 if force == 0.0:
-                    return
+                    break
                 loop.control.set_forces(dict.fromkeys(controller.contact_names, force))
             if all(state == wanted for state in loop.status.contact_states):
-                return
+                break
+        return free_reading
 
     def _plan_episode(self, loop: ClosedLoop) -> None:
         """Work out what the scenario asks for at each step: forces and places on its path."""
@@ -214,6 +227,7 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
             'clipped': clipped,
             'refused': '; '.join(refused),
             'left_out': left_out,
+            'limited': tuple(sorted(self._limiter.limited)),
             'limits': tuple(sorted(limits)),
             'rejected': tuple(sorted(rejected)),
             'rewards': rewards,
@@ -243,17 +257,24 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
             way = self._path[self._step + 1] - self._path[self._step]
             twist[:3] = way * self.config.rate
         left_out = ''
+        limiter = self._limiter
+        limiter.begin_step(self._output, loop.status.contact_states)
+        before = self._task.forces
         with _listing_refusal(refused):
-            control.set_forces(forces, wishes.centres)
+            control.set_forces(limiter.limit_forces(forces, before), wishes.centres)
         with _listing_refusal(refused):
             left_out = control.set_motion(self._next_motion(loop, twist, refused))
         if wishes.natural_frequency is not None:
-            motion = control.config.motion.model_copy(
-                update={'natural_frequency': wishes.natural_frequency}
-            )
-            config = control.config.model_copy(update={'motion': motion})
-            with _listing_refusal(refused):  # also where the posture allows no change
-                control.reconfigure(config)
+            frequency = limiter.limit_frequency(wishes.natural_frequency)
+            if frequency != control.config.motion.natural_frequency:
+                motion = control.config.motion.model_copy(
+                    update={'natural_frequency': frequency}
+                )
+                config = control.config.model_copy(update={'motion': motion})
+                with _listing_refusal(
+                    refused
+                ):  # also where the posture allows no change
+                    control.reconfigure(config)
         return left_out
 
     def _next_motion(
@@ -262,37 +283,26 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
         """
         Return the motion at the next tick, which goes over to a wanted twist within the step.
 
-        It goes there no faster than a tenth of the largest acceleration, and stops, with the cause
-        in `refused`, before it would leave the workspace.
+        It stops, with the cause in `refused`, before it would leave the workspace.
         """
         limits = loop.setup.controller.limits
         period = loop.setup.controller.period
         length = self._ticks * period
-        linear = RAMP_SHARE * limits.operational_acceleration
-        angular = RAMP_SHARE * limits.operational_turn_acceleration
-        pose = loop.control.supervisor.task.reference_pose()
-        wanted = np.concatenate(
-            [
-                _shorten(wanted[:3], limits.operational_speed),
-                _shorten(wanted[3:], limits.operational_turn),
-            ]
-        )
+        reference = loop.control.supervisor.task.reference_pose()
+        pose = self._limiter.leave_surfaces(reference)
+        slowing = RAMP_SHARE * limits.operational_acceleration
         speed = float(np.linalg.norm(wanted[:3]))
-        way = (length + 0.5 * speed / linear) * wanted[:3]
+        way = (length + 0.5 * speed / slowing) * wanted[:3]
         try:
             check_position(pose.position_world + way, limits)
         except CommandError as error:
             refused.append(str(error))
             wanted = np.zeros(6)
-        change = (wanted - self._twist) / length
-        acceleration = np.concatenate(
-            [_shorten(change[:3], linear), _shorten(change[3:], angular)]
-        )
-        next_twist = self._twist + period * acceleration
-        self._twist = self._twist + length * acceleration
-        pose = pose.moved_by(period * next_twist)
+        twist, acceleration = self._limiter.limit_twist(wanted, pose)
+        twist = twist - (length - period) * acceleration
+        pose = pose.moved_by(period * twist)
         return MotionReading(
-            pose.position_world, pose.quaternion_xyzw, next_twist, acceleration
+            pose.position_world, pose.quaternion_xyzw, twist, acceleration
         )
 
     def _advance(self, loop: ClosedLoop) -> None:
@@ -349,11 +359,6 @@ def _listing_refusal(refused: list[str]) -> Iterator[None]:
         yield
     except (CommandError, ConfigError) as error:
         refused.append(str(error))
-
-
-def _shorten(vector: Vector, largest: float) -> Vector:
-    """Return a vector, made as short as `largest` if it is longer."""
-    return vector * (largest / max(float(np.linalg.norm(vector)), largest))
 
 
 def _count_ticks(rate: float, control_rate: float) -> int:

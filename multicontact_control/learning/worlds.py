@@ -12,6 +12,7 @@ import numpy as np
 from sim_bridge.config import ActuationConfig
 
 LARGEST_SEED = 10**9
+UNBLENDED = 1e6  # N m/s, at which every change of a torque is over within a period
 ACTUATION_SEED = 'plant.actuation.seed'
 
 
@@ -40,8 +41,10 @@ class Worlds:
         self._config = config
         self._settings = dict(config.settings)
         if 'stiffness' in config.actions:
-            # Each change would blend anew, and the torque never get there.
+            # Each change would blend anew, and the torque hardly follow the law any more. What
+            # changes is limited by itself (`limiting`).
             self._settings.setdefault('controller.transition.blend_time', 0.0)
+            self._settings.setdefault('controller.transition.torque_rate', UNBLENDED)
         self._arguments: dict[str, Any] = {
             'scenario': config.scenario,
             'robot': config.robot,

@@ -20,7 +20,6 @@ from multicontact_control.learning.rewards import (
     track_force,
 )
 from multicontact_control.learning.worlds import tilt_normal
-from multicontact_control.supervision.checks import SPEED_ALARM_FACTOR
 import numpy as np
 import pytest
 from ros_graph import ROOT
@@ -28,11 +27,9 @@ from ros_graph import ROOT
 ARMS = {
     'rigid': {'plant': 'rigid'},
     'puma': {'plant': 'puma'},
+    'panda': {'robot': 'panda', 'plant': 'rigid'},
     'iiwa': {'robot': 'iiwa', 'plant': 'rigid'},
 }
-GENTLE = 0.3  # share of the largest actions, that no surface is lost by
-BRAKED = 1.05  # of a speed at which the arm begins to be braked
-LEFT = 1.25  # of a force at which a contact is left
 RANDOM_WORLD = {
     'plant': 'rigid',
     'randomise': {
@@ -81,7 +78,7 @@ def episode(env, seed, steps=6):
     observation, _ = env.reset(seed=seed)
     said = [observation]
     for _ in range(steps):
-        action = random.uniform(-GENTLE, GENTLE, env.action_space.shape)
+        action = random.uniform(-1.0, 1.0, env.action_space.shape)
         observation, reward, *_ = env.step(action.astype(np.float32))
         said.append({**observation, 'reward': np.array(reward)})
     return said
@@ -148,7 +145,7 @@ def test_vector_environment_gives_the_same_episodes_bit_for_bit(make_env, vector
             [{name: observations[name][k] for name in observations}] for k in (0, 1)
         ]
         for _ in range(6):
-            one = random.uniform(-GENTLE, GENTLE, envs.single_action_space.shape)
+            one = random.uniform(-1.0, 1.0, envs.single_action_space.shape)
             actions = np.tile(one.astype(np.float32), (len(seeds), 1))
             observations, rewards, *_ = envs.step(actions)
             for k, of_env in enumerate(said):
@@ -216,15 +213,19 @@ def test_without_motion_as_an_action_the_scenario_moves(make_env):
 def test_softer_motion_gives_way_to_a_push(make_env):
     deviations = []
     for stiffness in (1.0, -1.0):
-        env = make_env(plant='rigid', actions=['stiffness'], initial_force=0.0)
-        start = env.reset(seed=0)[0]['position']
-        env.step(act(env, stiffness))
+        actions = ['force', 'stiffness']
+        env = make_env(plant='rigid', actions=actions, initial_force=0.0)
+        env.reset(seed=0)
+        action = act(env, -1.0)  # no contact
+        action[-1] = stiffness
+        for _ in range(50):
+            before, *_ = env.step(action)
         env.loop.plant.push(np.array([3.0, 0.0, 0.0]), 1.0, tool=True)
         for _ in range(20):
-            observation, *_, info = env.step(act(env, stiffness))
+            after, *_, info = env.step(action)
         assert info['reaction'] == 'none'
-        deviations.append(np.linalg.norm(observation['position'] - start))
-    assert deviations[1] > 2.0 * deviations[0] > 0.0
+        deviations.append(np.linalg.norm(after['position'] - before['position']))
+    assert deviations[1] > 4.0 * deviations[0] > 0.0
 
 
 def test_bad_actions_are_refused_or_clipped_with_a_cause(make_env):
@@ -433,14 +434,10 @@ class Watch:
             self.note('torque', loop.command, np.array(config.torque_limit))
             if limits.joint_speed:
                 self.note('joint speed', sample.qd, np.array(limits.joint_speed))
-            # Beyond these the supervisor takes the arm from the controller, and brakes it.
-            fastest = BRAKED * SPEED_ALARM_FACTOR * limits.operational_speed
-            self.note('speed', np.linalg.norm(twist[:3]), fastest)
-            fastest = BRAKED * SPEED_ALARM_FACTOR * limits.operational_turn
-            self.note('turn', np.linalg.norm(twist[3:]), fastest)
-            # Beyond the ceiling a contact is left, which takes some ticks.
+            self.note('speed', np.linalg.norm(twist[:3]), limits.operational_speed)
+            self.note('turn', np.linalg.norm(twist[3:]), limits.operational_turn)
             ceiling = config.contact_state.force_ceiling
-            self.note('force', sample.contact_force, LEFT * ceiling)
+            self.note('force', sample.contact_force, ceiling)
             return output
 
         loop.advance = watched
@@ -481,8 +478,9 @@ def assert_safe(watch):
 @pytest.mark.slow
 def test_no_action_of_an_enemy_is_unsafe(make_env):
     env = make_env(plant='rigid', actions=['force', 'motion', 'stiffness'])
-    watch, _ = attack(env, 1000)
+    watch, ends = attack(env, 1000)
     assert_safe(watch)
+    assert set(ends) == {'duration'}  # the supervisor has never stopped the arm
     assert watch.largest['torque'] > 0.2  # it has been moved
 
 
@@ -490,5 +488,7 @@ def test_no_action_of_an_enemy_is_unsafe(make_env):
 @pytest.mark.parametrize('arm', ARMS)
 def test_no_action_of_an_enemy_is_unsafe_for_long(make_env, arm):
     env = make_env(**ARMS[arm], actions=['force', 'motion', 'stiffness'])
-    watch, _ = attack(env, 10_000)
+    watch, ends = attack(env, 10_000)
     assert_safe(watch)
+    # A tool on springy drives swings when a contact is let go: its inertia reads as a pull.
+    assert set(ends) <= {'duration', 'hold: wrench_pull'}
