@@ -99,6 +99,8 @@ def check_points(points: TimedPoses, limits: LimitsConfig) -> None:
 
 def turns_between(rotations: Rotation) -> Matrix:
     """Return the turns from each of k orientations to the next, in its frame, (k - 1, 3) [rad]."""
+    if len(rotations) == 1:
+        return np.zeros((0, 3))  # scipy of Ubuntu 24.04 composes no empty rotations
     turns: Matrix = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
     return turns
 
