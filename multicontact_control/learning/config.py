@@ -11,9 +11,8 @@ from multicontact_control.learning.rewards import REWARDS
 from multicontact_control.supervision.command_limits import CommandLimits
 
 ActionName = Literal['force', 'motion', 'stiffness']
-SLOWEST_RATE = (
-    1.0 / CommandLimits().motion_timeout
-)  # Hz, at which a twist still lasts a step
+# Hz, at which a twist still lasts a step.
+SLOWEST_RATE = 1.0 / CommandLimits().motion_timeout
 
 
 class EnvironmentConfig(Config):

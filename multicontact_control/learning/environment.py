@@ -271,9 +271,8 @@ class MultiContactEnv(gymnasium.Env[Observation, Action]):
                     update={'natural_frequency': frequency}
                 )
                 config = control.config.model_copy(update={'motion': motion})
-                with _listing_refusal(
-                    refused
-                ):  # also where the posture allows no change
+                # Where the posture allows no change it is refused, too.
+                with _listing_refusal(refused):
                     control.reconfigure(config)
         return left_out
 

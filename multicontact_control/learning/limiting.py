@@ -28,9 +28,8 @@ from scipy.optimize import nnls
 RAMP_SHARE = 0.1  # of the largest acceleration, by which a twist changes...
 BRAKING_SHARE = 0.4  # ...and where a tip nears a surface, or the tool its largest tilt
 FORCE_RATE = 200.0  # N/s, of a force that is asked for
-WRENCH_SHARE = (
-    0.8  # of what the wrist sensor reads at most, from which on forces are lowered
-)
+# Of what the wrist sensor reads at most, from which on forces are lowered.
+WRENCH_SHARE = 0.8
 FREE_TIME = 0.3  # s that nothing is felt at a contact before it is sought anew
 STIFFENING_TIME = 0.5  # s, in which the natural frequency of the motion changes e-fold
 LEVER = 0.2  # m, at which an angular speed counts as a speed
@@ -204,9 +203,8 @@ class ActionLimiter:
             if state in PRESSED:
                 continue
             bound = speed
-            if (
-                state in SOUGHT
-            ):  # its displacement places the tip, but for what turns it
+            if state in SOUGHT:
+                # Its displacement places the tip, but for what turns it.
                 row = np.concatenate([np.zeros(3), row[3:]])
             elif felt:
                 bound = -speed
