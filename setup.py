@@ -92,7 +92,7 @@ extras_require = {
     'view': [
         'viser>=1.1,<1.2',
         'websockets>=14,<17',
-        'trimesh>=4.0.10,<6',  # shapes and meshes of links
+        'trimesh>=4.5,<6',  # shapes and meshes of links
         'pycollada>=0.8,<0.10',  # its meshes in .dae
     ],
     # To make HTML of docs/: `make docs`.

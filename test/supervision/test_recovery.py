@@ -224,7 +224,7 @@ def test_turning_about_the_wrist_with_the_board_held_loses_nothing(
     w = np.pi
     with pressing(plant, table=0.0, board=10.0) as loop:
         start = loop.control.output.pose
-        orientation = Rotation.from_matrix(start.rotation_world)
+        orientation = Rotation.from_matrix(start.rotation_world.copy())
 
         def rotate(time):
             """Turn about the normal, y: the tip stays on the board."""
