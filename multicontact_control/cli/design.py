@@ -98,7 +98,11 @@ def design(
     model: ModelOptions,
     certified: CertifyOptions,
     out: Annotated[
-        Path | None, typer.Option(help='Parameter file to write, for --preset.')
+        Path | None,
+        typer.Option(
+            help='Parameter file to write, for --preset; with --certify the picture of the '
+            'region, a PNG or PDF.'
+        ),
     ] = None,
 ) -> None:
     """
@@ -111,7 +115,7 @@ def design(
     from multicontact_control.commissioning import law_report
 
     if certified.certify:
-        _certify(context, law, model, certified)
+        _certify(context, law, model, certified, out)
         return
     result = law_report.design_for_range(
         law,
@@ -128,16 +132,28 @@ def design(
 
 
 def _certify(
-    context: typer.Context, law: LawChoice, model: ModelOptions, asked: CertifyOptions
+    context: typer.Context,
+    law: LawChoice,
+    model: ModelOptions,
+    asked: CertifyOptions,
+    out: Path | None,
 ) -> None:
     """Print the certified region of a preset, or its fastest certified time constant."""
     from multicontact_control.commissioning import certified_region
+    from multicontact_control.commissioning.certified_region import require_range
+    from multicontact_control.errors import ConfigError
     from multicontact_control.force.certificate import require_solver
     from multicontact_control.runs.overrides import resolve_with
     from multicontact_control.runs.scenario import resolve
     import numpy as np
 
     require_solver()
+    if law != 'aob':
+        raise ConfigError('LAW', 'aob, whose gain follows R', law)
+    require_range('delay', asked.delay)
+    require_range('tool', asked.tool)
+    require_range('mobility', asked.mobility, positive=True)
+    require_range('stiffness', model.stiffness, positive=True)
     settings = [f'controller.force.law={law}', *(asked.settings or ())]
     arguments = {'scenario': 'step', 'robot': asked.robot, 'preset': asked.preset}
     setup = resolve_with(resolve, arguments, settings)
@@ -148,16 +164,24 @@ def _certify(
     if is_given(context, 'stiffness'):
         force = setup.controller.force
         found = certified_region.design_certified(
-            loop, force, model.stiffness, asked.delay
+            loop, force, model.stiffness, asked.delay, typer.echo
         )
         typer.echo(certified_region.describe_certified(found, force, model.stiffness))
         return
+    rng = np.random.default_rng(0)
     boxes = []
+    edges = {}
     for strip in certified_region.split_delays(asked.delay, loop.model.period):
         for box in certified_region.find_region(loop, strip):
             boxes.append(box)
             typer.echo(certified_region.describe_box(box, loop.model.period))
+        edges[strip] = certified_region.find_simulated_edges(loop, strip, rng)
+        typer.echo(certified_region.describe_edges(strip, edges[strip]))
+    share = certified_region.measure_share(boxes, edges)
+    typer.echo(certified_region.describe_share(share))
+    if out is not None:
+        certified_region.draw_region(boxes, edges, asked.preset).savefig(out, dpi=150)
+        typer.echo(f'written to {out}')
     if boxes and asked.attacks:
-        rng = np.random.default_rng(0)
         result = certified_region.attack_region(loop, boxes, asked.attacks, rng)
         typer.echo(certified_region.describe_attacks(result))

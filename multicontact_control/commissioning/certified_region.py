@@ -6,12 +6,14 @@ For which surfaces and delays a configured force loop is certified; what attacks
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.commissioning.arm_loop import ArmLoop
 from multicontact_control.config import ForceConfig, NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
@@ -30,19 +32,22 @@ from multicontact_control.force.loop_family import (
     ForceLoopModel,
     Range,
 )
+from multicontact_control.force.margins import find_last_stable, spectral_radius
 from multicontact_control.force.observer import solve_steady_gain
 from multicontact_control.runs.scenario import Setup
 import numpy as np
 from numpy.random import Generator
 from scipy.linalg import solve_discrete_lyapunov
 
-FIRST_FACTOR = 1.25  # of the stiffness, over the first box that is tried
+FIRST_FACTOR = 1.5  # of the stiffness, over the first box that is tried
 LAST_FACTOR = 1.07  # at which the search for a boundary ends
 LOWEST_RATIO, HIGHEST_RATIO = 0.1, 10.0  # true over modelled stiffness, of the search
 STRIP = 0.5  # of a period, delays of one box
 LONGEST_ATTACK = 2000  # periods
 LARGEST_FALL = 1e4  # of V, after which an attack ends
-RUNS_PER_POINT = 8
+RUNS_PER_POINT = 16
+HELD = 12  # values of R of a boundary
+EDGE_TOLERANCE = 0.02  # relative, of simulated boundaries
 TIME_CONSTANTS = np.geomspace(0.01, 0.16, 13).tolist()  # s, of a design
 OUTSIDE = """outside the model, and so of the proof: flexible drives, stiction, torque limits, loss
 of contact, what the contacts do to each other through the arm, samples without a force"""
@@ -67,7 +72,8 @@ class CertifiedLoop:
 
     def sample(self, stiffness: float, delay: float, rng: Generator) -> Matrix:
         """Return [A, N] of one plant, of a tool and an arm within their ranges."""
-        tool_mass, mobility = rng.uniform(self.tool_mass), rng.uniform(self.mobility)
+        tool_mass = float(rng.uniform(*self.tool_mass))
+        mobility = float(rng.uniform(*self.mobility))
         point = Box(
             (stiffness, stiffness),
             (delay, delay),
@@ -109,6 +115,18 @@ def describe_loop(
     )
 
 
+def require_range(name: str, limits: Range | None, *, positive: bool = False) -> None:
+    """Raise a ConfigError if a range, if there is one, does not rise from 0 or above it."""
+    if limits is None:
+        return
+    low, high = limits
+    if not 0.0 <= low <= high < math.inf or (positive and low == 0.0):
+        least = 'above 0' if positive else '0 or more'
+        raise ConfigError(
+            name, f'a range of rising values, {least}', f'{low:g} {high:g}'
+        )
+
+
 class CertifiedBox(NamedTuple):
     """A box of the region: ratios of true and modelled stiffness, delays [s]."""
 
@@ -137,9 +155,9 @@ def find_region(loop: CertifiedLoop, delay: Range) -> Iterator[CertifiedBox]:
         reached = 1.0
         factor = FIRST_FACTOR
         while factor >= LAST_FACTOR and LOWEST_RATIO < reached < HIGHEST_RATIO:
-            ratio = (reached, reached * factor)
+            ratio = (reached, min(reached * factor, HIGHEST_RATIO))
             if not upwards:
-                ratio = (reached / factor, reached)
+                ratio = (max(reached / factor, LOWEST_RATIO), reached)
             k = (ratio[0] * loop.stiffness, ratio[1] * loop.stiffness)
             certificate = loop.certify(k, delay)
             if certificate is None:
@@ -214,40 +232,151 @@ def _make_attacked(
     )
 
 
-def withstand_attacks(
-    loop: CertifiedLoop, delay: Range, ratios: Vector, rng: Generator
-) -> Mask:
-    """
-    Return at which ratios no attack made a loop grow, in the middle of a strip of delays.
+class SimulatedEdges(NamedTuple):
+    """Up to which ratio of true and modelled stiffness a loop is stable, from 0.1 upwards."""
 
-    The greedy adversaries follow a Lyapunov function of the middle gain; shape (m,).
+    held: float  # with every R that is held
+    attacked: float  # and with those of adversaries
+
+
+def find_simulated_edges(
+    loop: CertifiedLoop, delay: Range, rng: Generator
+) -> SimulatedEdges:
+    """
+    Return up to which ratio a loop is stable by eigenvalues and by simulation.
+
+    In the middle of a strip of delays [s], with the middle of tools and arms for R held; 0 if not
+    even the smallest ratio is stable.
+    """
+    middle = 0.5 * (delay[0] + delay[1])
+    gains = [
+        solve_steady_gain(loop.model.observer, R)
+        for R in np.geomspace(loop.limit.smallest, loop.limit.largest, HELD)
+    ]
+
+    def is_stable(ratio: float) -> bool:
+        return _radius(loop, ratio, middle, gains) < 1.0
+
+    ratios = np.geomspace(LOWEST_RATIO, HIGHEST_RATIO, 41).tolist()
+    stable, _ = find_last_stable(is_stable, ratios, EDGE_TOLERANCE)
+    held = min(stable, HIGHEST_RATIO)
+    if held == 0.0:
+        return SimulatedEdges(0.0, 0.0)
+
+    def withstands(ratio: float) -> bool:
+        return withstands_attacks(loop, delay, ratio, rng)
+
+    tried = np.geomspace(LOWEST_RATIO, held, 9).tolist()
+    attacked, _ = find_last_stable(withstands, tried, EDGE_TOLERANCE)
+    return SimulatedEdges(held, min(attacked, held))
+
+
+def _radius(
+    loop: CertifiedLoop, ratio: float, delay: float, gains: Sequence[Vector]
+) -> float:
+    """Return the largest spectral radius with some held gains."""
+    k = ratio * loop.stiffness
+    tool, arm = float(np.mean(loop.tool_mass)), float(np.mean(loop.mobility))
+    point = Box((k, k), (delay, delay), (tool, tool), (arm, arm))
+    family = enclose_loops(loop.model, point)
+    s = family.states
+    A, N = family.vertices[0][:, :s], family.vertices[0][:, s:]
+    return max(spectral_radius(A + np.outer(N @ K, family.innovation)) for K in gains)
+
+
+def withstands_attacks(
+    loop: CertifiedLoop, delay: Range, ratio: float, rng: Generator
+) -> bool:
+    """
+    Return whether no attack makes a loop grow, in the middle of a strip of delays.
+
+    The greedy adversaries follow a Lyapunov function of the middle gain.
     """
     middle = 0.5 * (delay[0] + delay[1])
     gain = solve_steady_gain(
         loop.model.observer, math.sqrt(loop.limit.smallest * loop.limit.largest)
     )
-    withstood = []
-    for ratio in ratios:
-        matrices = []
-        for _ in range(RUNS_PER_POINT):
-            matrices.append(loop.sample(ratio * loop.stiffness, middle, rng))
-        attacked = _make_attacked(loop, matrices, delay)
-        s = len(attacked.innovation)
-        held = matrices[0][:, :s] + np.outer(
-            matrices[0][:, s:] @ gain, attacked.innovation
+    k = ratio * loop.stiffness
+    matrices = [loop.sample(k, middle, rng) for _ in range(RUNS_PER_POINT)]
+    attacked = _make_attacked(loop, matrices, delay)
+    s = len(attacked.innovation)
+    held = matrices[0][:, :s] + np.outer(matrices[0][:, s:] @ gain, attacked.innovation)
+    if spectral_radius(held) >= 1.0:
+        return False
+    P = solve_discrete_lyapunov(held.T, np.eye(s))
+    measure = Certificate(np.zeros(1), P[None], 1.0)
+    result = attack(attacked, measure, LONGEST_ATTACK, rng)
+    grows = (result.growth > 0.0) & (result.late_growth > 0.0)
+    return not grows.any()
+
+
+class RegionShare(NamedTuple):
+    """Areas of a region in the plane of ln(k ratio) and T_d, over one another."""
+
+    of_held: float  # certified over stable with every R that is held
+    of_attacked: float  # over what withstands attacks
+
+
+def measure_share(
+    boxes: Sequence[CertifiedBox], edges: Mapping[Range, SimulatedEdges]
+) -> RegionShare:
+    """Return which share of the stable area boxes cover, by the edges of every strip."""
+    certified = 0.0
+    for box in boxes:
+        certified += (box.delay[1] - box.delay[0]) * math.log(
+            box.ratio[1] / box.ratio[0]
         )
-        radius = np.abs(np.linalg.eigvals(held)).max()
-        if radius >= 1.0:
-            withstood.append(False)
-            continue
-        scale = np.array([1e-4, 1e-3] + [0.1] * (s - 2))
-        inner = held / scale[:, None] * scale
-        P = solve_discrete_lyapunov(inner.T, np.eye(s)) / np.outer(scale, scale)
-        measure = Certificate(np.zeros(1), P[None], 1.0)
-        result = attack(attacked, measure, LONGEST_ATTACK, rng)
-        grows = (result.growth > 0.0) & (result.late_growth > 0.0)
-        withstood.append(not grows.any())
-    return np.array(withstood)
+    held = attacked = 0.0
+    for (first, last), edge in edges.items():
+        if edge.held > 0.0:
+            held += (last - first) * math.log(edge.held / LOWEST_RATIO)
+        if edge.attacked > 0.0:
+            attacked += (last - first) * math.log(edge.attacked / LOWEST_RATIO)
+    return RegionShare(
+        certified / held if held else 0.0, certified / attacked if attacked else 0.0
+    )
+
+
+def draw_region(
+    boxes: Sequence[CertifiedBox], edges: Mapping[Range, SimulatedEdges], title: str
+) -> Figure:
+    """Return the plane of k ratio and T_d: certified, simulated stable, not stable."""
+    figure = Figure(figsize=(5.2, 3.4), layout='constrained')
+    axes = figure.subplots()
+    names: set[str] = set()
+
+    def paint(delay: Range, ratio: Range, colour: str, name: str) -> None:
+        low, high = math.log10(ratio[0]), math.log10(ratio[1])
+        axes.add_patch(
+            Rectangle(
+                (1e3 * delay[0], low),
+                1e3 * (delay[1] - delay[0]),
+                high - low,
+                facecolor=colour,
+                edgecolor='white',
+                linewidth=0.4,
+                label='_' if name in names else name,
+            )
+        )
+        names.add(name)
+
+    for delay, edge in edges.items():
+        held, attacked = (max(ratio, LOWEST_RATIO) for ratio in edge)
+        paint(delay, (LOWEST_RATIO, attacked), '#9ecae1', 'withstands attacks')
+        paint(delay, (attacked, held), '#fdd0a2', 'stable with R held alone')
+        paint(delay, (held, HIGHEST_RATIO), '#d9d9d9', 'unstable')
+    for box in boxes:
+        paint(box.delay, box.ratio, '#2171b5', 'certified')
+    delays = [1e3 * delay for strip in edges for delay in strip]
+    axes.set_xlim(min(delays), max(delays))
+    axes.set_ylim(math.log10(LOWEST_RATIO), math.log10(HIGHEST_RATIO))
+    ticks = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+    axes.set_yticks([math.log10(tick) for tick in ticks], [f'{t:g}' for t in ticks])
+    axes.set_xlabel('T_d [ms]')
+    axes.set_ylabel('stiffness over its model')
+    axes.set_title(title, fontsize=9)
+    figure.legend(loc='outside lower center', ncols=2, fontsize=8)
+    return figure
 
 
 class CertifiedDesign(NamedTuple):
@@ -258,18 +387,23 @@ class CertifiedDesign(NamedTuple):
 
 
 def design_certified(
-    loop: CertifiedLoop, force: ForceConfig, stiffness: Range, delay: Range
+    loop: CertifiedLoop,
+    force: ForceConfig,
+    stiffness: Range,
+    delay: Range,
+    report: Callable[[str], None],
 ) -> CertifiedDesign:
     """
     Return the fastest of the `TIME_CONSTANTS` with which all surfaces and delays are certified.
 
     The model has the geometric mean of the stiffness [N/m] and the middle delay [s]. Found by
-    bisection: a slower loop is taken to be certified where a faster one is.
+    bisection: a slower loop is taken to be certified where a faster one is. Told to `report`, a
+    line each, is what was tried.
 
     Raises
     ------
     ConfigError
-        If not even the slowest is certified.
+        If none of those tried is certified.
 
     """
     middle = LoopModel(
@@ -278,23 +412,29 @@ def design_certified(
         0.5 * (delay[0] + delay[1]),
         loop.model.period,
     )
-
-    def certify(time_constant: float) -> CertifiedDesign | None:
-        observer = design_aob(
-            middle, force.model_copy(update={'time_constant': time_constant})
-        )
+    best = None
+    low, high = 0, len(TIME_CONSTANTS)
+    while low < high:
+        tried = (low + high) // 2
+        time_constant = TIME_CONSTANTS[tried]
+        faster = force.model_copy(update={'time_constant': time_constant})
+        observer = design_aob(middle, faster)
         candidate = replace(loop, model=replace(loop.model, observer=observer))
         rates = []
         for strip in split_delays(delay, loop.model.period):
-            for k in _split_stiffness(stiffness):
-                certificate = candidate.certify(k, strip)
-                if certificate is None:
-                    return None
-                rates.append(certificate.decay_rate(loop.model.period))
-        return CertifiedDesign(time_constant, min(rates))
-
-    low, high = 0, len(TIME_CONSTANTS) - 1
-    best = certify(TIME_CONSTANTS[high])
+            rate = _certify_range(candidate, stiffness, strip)
+            rates.append(rate)
+            if rate == 0.0:
+                break
+        name = f'time constant {1e3 * time_constant:.1f} ms'
+        if min(rates) == 0.0:
+            first, last = (1e3 * edge for edge in strip)
+            report(f'{name}: not certified at T_d {first:.1f} to {last:.1f} ms')
+            low = tried + 1
+        else:
+            report(f'{name}: certified, decays at {min(rates):.3g} 1/s or faster')
+            best = CertifiedDesign(time_constant, min(rates))
+            high = tried
     if best is None:
         raise ConfigError(
             'stiffness',
@@ -302,23 +442,24 @@ def design_certified(
             f'{1e3 * TIME_CONSTANTS[-1]:.0f} ms is certified on',
             f'{stiffness[0]:g} to {stiffness[1]:g} N/m',
         )
-    while low < high:
-        tried = (low + high) // 2
-        found = certify(TIME_CONSTANTS[tried])
-        if found is None:
-            low = tried + 1
-        else:
-            best = found
-            high = tried
     return best
 
 
-def _split_stiffness(stiffness: Range) -> list[Range]:
-    """Return ranges of stiffness [N/m] of equal factors, as wide as a box mostly bears."""
-    factor = FIRST_FACTOR
-    count = max(math.ceil(math.log(stiffness[1] / stiffness[0]) / math.log(factor)), 1)
-    edges = np.geomspace(*stiffness, count + 1).tolist()
-    return list(zip(edges[:-1], edges[1:]))
+def _certify_range(loop: CertifiedLoop, stiffness: Range, delay: Range) -> float:
+    """Return the slowest decay certified on a range of stiffness [N/m], or 0 if not all is."""
+    low, high = stiffness
+    if high / low <= FIRST_FACTOR:
+        certificate = loop.certify(stiffness, delay)
+        if certificate is not None:
+            return certificate.decay_rate(loop.model.period)
+        if high / low < LAST_FACTOR**2:
+            return 0.0
+    middle = math.sqrt(low * high)
+    # The stiffest surfaces first, where loops mostly fail.
+    of_stiff = _certify_range(loop, (middle, high), delay)
+    if of_stiff == 0.0:
+        return 0.0
+    return min(of_stiff, _certify_range(loop, (low, middle), delay))
 
 
 def describe_assumptions(loop: CertifiedLoop, estimator: NoiseEstimatorConfig) -> str:
@@ -350,6 +491,23 @@ def describe_box(box: CertifiedBox, period: float) -> str:
     return (
         f'T_d {first:.1f} to {last:.1f} ms, {low:.3f} to {high:.3f} of the stiffness: '
         f'decays at {rate:.3g} 1/s or faster'
+    )
+
+
+def describe_edges(delay: Range, edges: SimulatedEdges) -> str:
+    """Return up to where a strip is stable, as a line of text."""
+    first, last = (1e3 * edge for edge in delay)
+    return (
+        f'T_d {first:.1f} to {last:.1f} ms: withstands attacks up to {edges.attacked:.3f}, '
+        f'stable with R held up to {edges.held:.3f} of the stiffness'
+    )
+
+
+def describe_share(share: RegionShare) -> str:
+    """Return how much of the stable area is certified, as a line of text."""
+    return (
+        f'certified: {100.0 * share.of_attacked:.0f} % of the area that withstands attacks, '
+        f'{100.0 * share.of_held:.0f} % of that with R held (from a ratio of {LOWEST_RATIO:g} on)'
     )
 
 

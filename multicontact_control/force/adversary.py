@@ -102,9 +102,11 @@ def attack(
         solve_steady_covariance(loops.observer, math.exp(start)) for start in starts
     ]
     P_1 = np.array(covariances)[chosen]
-    log_R = starts[chosen]
-    x = np.linalg.solve(np.linalg.cholesky(middle).T, rng.standard_normal((s, count))).T
+    log_R: Vector = np.array(starts[chosen], dtype=float)
+    random = rng.standard_normal((s, count))
+    x = np.asarray(np.linalg.solve(np.linalg.cholesky(middle).T, random).T, dtype=float)
     course = _Courses(count, low, high, step, rng)
+    x /= _norm(x, middle)[:, None]
     worst = np.zeros(count)
     log_norm = np.zeros(count)
     half = np.zeros(count)
@@ -115,17 +117,20 @@ def attack(
         log_R = course.follow(loops, x_next, P_1, log_R, value)
         V_next = value(x_next, log_R)
         np.maximum(worst, V_next / V, out=worst)
-        size = np.sqrt(np.einsum('bi,ij,bj->b', x_next, middle, x_next, optimize=True))
-        if tick == 0:
-            size_before = 1.0
-        log_norm += np.log(size / size_before)
+        size = _norm(x_next, middle)
+        log_norm += np.log(size)
         # Of one size again: the loop is linear.
         x = x_next / size[:, None]
         V = V_next / size**2
-        size_before = 1.0
         if tick == ticks // 2:
             half = log_norm.copy()
     return Attack(worst, log_norm, log_norm - half)
+
+
+def _norm(x: Matrix, P: Matrix) -> Vector:
+    """Return the root of x^T P x, shape (b,)."""
+    norm: Vector = np.sqrt(np.einsum('bi,ij,bj->b', x, P, x, optimize=True))
+    return norm
 
 
 def _step(loops: AttackedLoops, x: Matrix, P_1: Matrix, R: Vector) -> Matrix:

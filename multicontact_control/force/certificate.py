@@ -13,7 +13,7 @@ from functools import cached_property
 from importlib.util import find_spec
 import math
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Indices, Matrix, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.enclosures import (
     are_positive_definite,
@@ -27,8 +27,13 @@ from scipy.linalg import solve_discrete_lyapunov
 
 NODES = 13  # of ln R, between which P is linear
 CLUSTERING = 0.7  # of the nodes, 0 for equal steps
-LEADING = 2  # directions of a gain's ellipsoid that the program sees
-WEIGHTS = np.geomspace(1.001, 1e6, 60)  # of a multiplier, over its smallest
+LEADING = 3  # directions of a gain's ellipsoid that the program sees
+ROUNDS = 2  # of the search, each with nodes where the last was worst
+WANTED_SHARE = 0.03  # of the fall of V at rest, that is searched for
+LARGEST_WANTED = 5e-4  # in a period
+NEARBY = np.geomspace(
+    0.1, 10.0, 21
+)  # multipliers that are tried, over that of the program
 DECAYS = (0.9, 0.7, 0.5, 0.25, 0.1, 0.03)  # shares of what seems possible
 SCALING_ROUNDS = 4
 
@@ -81,7 +86,7 @@ class GainScheduledLoop:
         closed: Matrix = vertices[..., :s] + by_gain[..., None] * self.family.innovation
         return closed
 
-    def choose_nodes(self) -> Vector:
+    def choose_nodes(self) -> Indices:
         """Return intervals of the tube, by the number of their first edge, that P bends at."""
         if self.jumps():
             return np.zeros(1, dtype=int)
@@ -106,21 +111,44 @@ def find_certificate(loop: GainScheduledLoop) -> Certificate | None:
 
     """
     require_solver()
-    if not _is_stable_at_rest(loop):
+    at_rest = _fall_at_rest(loop)
+    if at_rest <= 0.0:
         return None
+    wanted = min(LARGEST_WANTED, WANTED_SHARE * at_rest)
     nodes = loop.choose_nodes()
-    P = _search(loop, nodes)
-    if P is None:
-        return None
-    slopes = _list_moves(loop.tube, nodes, P)
-    multipliers, possible = _choose_multipliers(loop, slopes)
-    if possible <= 0.0:
-        return None
-    for share in DECAYS:
-        contraction = 1.0 - share * possible
-        if _is_proved(loop, slopes, multipliers, contraction):
-            return Certificate(loop.tube.edges[nodes], P, contraction)
+    for _ in range(ROUNDS):
+        found = _search(loop, nodes, wanted)
+        if found is None:
+            return None
+        P, at_nodes = found
+        moves = _list_moves(loop.tube, nodes, P)
+        first = np.interp([move.interval for move in moves], nodes, np.log(at_nodes))
+        multipliers, falls = _choose_multipliers(loop, moves, np.exp(first))
+        if falls.min() > 0.0:
+            for share in DECAYS:
+                contraction = 1.0 - share * falls.min()
+                if _is_proved(loop, moves, multipliers, contraction):
+                    return Certificate(loop.tube.edges[nodes], P, contraction)
+        more = _insert_nodes(nodes, moves, falls, 0.5 * wanted)
+        if len(more) == len(nodes):
+            return None
+        nodes = more
     return None
+
+
+def _insert_nodes(
+    nodes: Indices, moves: list[_Move], falls: Vector, enough: float
+) -> Indices:
+    """Return nodes with another where V falls least between two, if that is too little."""
+    intervals = np.array([move.interval for move in moves])
+    more = set(nodes.tolist())
+    for first, last in zip(nodes[:-1], nodes[1:]):
+        inside = np.flatnonzero((intervals >= first) & (intervals < last))
+        least = inside[falls[inside].argmin()]
+        if falls[least] < enough:
+            # An edge of that interval that is none of a node.
+            more.add(int(max(intervals[least], min(first + 1, last - 1))))
+    return np.array(sorted(more))
 
 
 def require_solver() -> None:
@@ -134,13 +162,13 @@ def require_solver() -> None:
         )
 
 
-def _is_stable_at_rest(loop: GainScheduledLoop) -> bool:
-    """Return whether the middle gains, held, make every plant of the family stable."""
+def _fall_at_rest(loop: GainScheduledLoop) -> float:
+    """Return by which share V could fall with middle gains held, on any plant of the family."""
+    radius = 0.0
     for gain in loop.tube.centres[:: max(len(loop.tube.centres) // 8, 1)]:
         closed = loop.close(loop.family.vertices, gain)
-        if np.abs(np.linalg.eigvals(closed)).max() >= 1.0:
-            return False
-    return True
+        radius = max(radius, float(np.abs(np.linalg.eigvals(closed)).max()))
+    return 1.0 - radius**2
 
 
 @dataclass(frozen=True)
@@ -153,65 +181,86 @@ class _Move:
     size: Matrix  # of the numbers that both were made of, entry by entry
 
 
-def _list_moves(tube: GainTube, nodes: Vector, P: Matrix) -> list[_Move]:
+def _list_moves(tube: GainTube, nodes: Indices, P: Matrix) -> list[_Move]:
     """
     Return what P can do in a period: with these moves every other one is proved.
 
-    R in an interval may go up or down by one step. The inequality is affine in P before and in P
-    after, so the ends of the interval and the longest moves are enough. Where a move passes a node
-    it is a mean of one that goes on with the slope it begins with, and one that has the next slope
-    from the beginning.
+    R in an interval may go up or down by one step. The inequality is affine in P before, in P
+    after and in the multiplier, so the ends of what P goes through on straight lines are enough.
+    P after a move that passes a node lies between that of a move from the node and of one that
+    ends there, and that of a shorter one between these and staying at the node. Nothing passes
+    floor and ceiling.
     """
     moves = []
     if len(nodes) == 1:
         return [_Move(0, P[0], P[0], np.abs(P[0]))]
     widths = np.diff(tube.edges[nodes])
     slopes = np.diff(P, axis=0) / widths[:, None, None]
+    still = np.zeros_like(slopes[:1])
+    slopes = np.concatenate([still, slopes, still])
     for interval in range(len(tube.centres)):
         i = int(np.searchsorted(nodes[1:-1], interval, side='right'))
-        directions = [slopes[i], -slopes[i]]
-        if interval + 1 == nodes[i + 1] and i + 1 < len(slopes):
-            directions.append(slopes[i + 1])
-        if interval == nodes[i] and i > 0:
-            directions.append(-slopes[i - 1])
+        slope = slopes[i + 1]
+        low, high = tube.edges[interval : interval + 2] - tube.edges[nodes[i]]
+        starts = [(low, slope), (high, -slope)]
+        if interval == nodes[i]:
+            starts += [(low, -slopes[i]), (low, still[0]), (low + tube.step, -slope)]
+        else:
+            starts.append((low, -slope))
+        if interval + 1 == nodes[i + 1]:
+            starts += [
+                (high, slopes[i + 2]),
+                (high, still[0]),
+                (high - tube.step, slope),
+            ]
+        else:
+            starts.append((high, slope))
         size = np.abs(P[max(i - 1, 0) : i + 3]).sum(axis=0)
-        for end in (interval, interval + 1):
-            before = P[i] + (tube.edges[end] - tube.edges[nodes[i]]) * slopes[i]
-            for direction in directions:
-                after = before + tube.step * direction
-                moves.append(_Move(interval, before, after, size))
+        for start, direction in starts:
+            before = P[i] + start * slope
+            moves.append(_Move(interval, before, before + tube.step * direction, size))
     return moves
 
 
 def _choose_multipliers(
-    loop: GainScheduledLoop, moves: list[_Move]
-) -> tuple[Vector, float]:
+    loop: GainScheduledLoop, moves: list[_Move], first: Vector
+) -> tuple[Vector, Vector]:
     """
-    Return a multiplier for every move, and by which share V seems to fall at least.
+    Return for every move a multiplier, and by which share V seems to fall.
 
-    By the eigenvalues of the nominal plant alone; nothing is proved by them.
+    The multiplier is the best of some around the `first`, for all vertices of the family; nothing
+    is proved by it.
     """
-    s = loop.family.states
-    nominal = loop.nominal
-    best = []
+    chosen = []
     falls = []
-    for move in moves:
-        A = loop.close(nominal, loop.tube.centres[move.interval])
-        H = nominal[:, s:] @ loop.tube.shapes[move.interval]
-        root = np.linalg.cholesky(move.before)
-        Y = H.T @ move.after @ H
-        largest = np.linalg.eigvalsh(Y)[-1]
-        X = np.linalg.solve(root, A.T @ move.after @ H)
-        normed = np.linalg.solve(root, A.T)
-        left = np.eye(s) - normed @ move.after @ normed.T
-        c = np.linalg.solve(root, loop.family.innovation)
-        multipliers = largest * WEIGHTS[:, None, None]
-        inner = np.linalg.inv(multipliers * np.eye(len(Y)) - Y)
-        rest = left - multipliers * np.outer(c, c) - X @ inner @ X.T
-        fall = np.linalg.eigvalsh(rest)[:, 0]
-        best.append(largest * WEIGHTS[fall.argmax()])
+    for move, multiplier in zip(moves, first):
+        tried, fall = _measure_falls(loop, move, multiplier * NEARBY)
+        chosen.append(tried[fall.argmax()])
         falls.append(fall.max())
-    return np.array(best), float(min(falls))
+    return np.array(chosen), np.array(falls)
+
+
+def _measure_falls(
+    loop: GainScheduledLoop, move: _Move, multipliers: Vector
+) -> tuple[Vector, Vector]:
+    """Return multipliers, none of them too small, and by which share V falls with each."""
+    s = loop.family.states
+    plants = loop.family.vertices
+    A = loop.close(plants, loop.tube.centres[move.interval])
+    H = plants[:, :, s:] @ loop.tube.shapes[move.interval]
+    values, vectors = np.linalg.eigh(np.swapaxes(H, -1, -2) @ move.after @ H)
+    possible: Vector = np.maximum(multipliers, 1.001 * values.max())
+    # In coordinates in which P before is 1, and Y = N M in its eigenvectors.
+    root = np.linalg.inv(np.linalg.cholesky(move.before))
+    normed = root @ np.swapaxes(A, -1, -2)
+    X = normed @ move.after @ H @ vectors
+    c = root @ loop.family.innovation
+    rest = np.eye(s) - normed @ move.after @ np.swapaxes(normed, -1, -2)
+    rest = rest - possible[:, None, None, None] * np.outer(c, c)
+    inner = 1.0 / (possible[:, None, None] - values)
+    rest = rest - (X * inner[:, :, None, :]) @ np.swapaxes(X, -1, -2)
+    falls: Vector = np.linalg.eigvalsh(rest)[..., 0].min(axis=1)
+    return possible, falls
 
 
 def _is_proved(
@@ -266,25 +315,27 @@ def _is_proved(
     return True
 
 
-def _search(loop: GainScheduledLoop, nodes: Vector) -> Matrix | None:
+def _search(
+    loop: GainScheduledLoop, nodes: Indices, wanted: float
+) -> tuple[Matrix, Vector] | None:
     """
-    Return P at the nodes, shape (m, s, s), from a semidefinite program, or None.
+    Return P and a multiplier at the nodes, from a semidefinite program, or None.
 
     Minimised is the sum of traces of P, in coordinates in which a P for R at rest is 1, with the
-    inequalities of `_is_proved` at the nodes >= 1 for rho = 1: for moves towards the neighbouring
-    nodes, for the corners of the family, and for the leading directions of the gains.
+    inequalities of `_is_proved` at the nodes >= 1 for the wanted fall of V, for the corners of
+    the family, and for the leading directions of the gains.
     """
     import clarabel
     from scipy import sparse
 
     program = _Program(loop, nodes)
-    coefficients, constants = program.inequalities()
+    coefficients, constants = program.inequalities(wanted)
     cost = np.zeros(program.variables)
     cost[: program.of_P] = np.tile(to_vector(np.eye(program.s)), len(nodes))
     cost /= 100.0 * program.of_P
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.max_iter = 35
+    settings.max_iter = 50
     settings.max_threads = 1
     settings.tol_gap_rel = settings.tol_gap_abs = 1e-2
     settings.tol_feas = 1e-5
@@ -301,17 +352,19 @@ def _search(loop: GainScheduledLoop, nodes: Vector) -> Matrix | None:
     P = 0.5 * (P + np.swapaxes(P, -1, -2))
     if not np.isfinite(P).all() or np.linalg.eigvalsh(P).min() <= 0.0:
         return None
-    found: Matrix = P
-    return found
+    multipliers = np.array(solution.x[program.of_P :]) / program.balance**2
+    at_nodes = multipliers.reshape(len(nodes), -1).max(axis=1)
+    return P, np.maximum(at_nodes, np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
 class _Constraint:
-    """One inequality of the program."""
+    """One inequality of the program, with P before and after by two neighbouring nodes."""
 
-    node: int
-    other: int  # node towards which R moves
-    share: float  # of the difference of P between them
+    node: int  # the first of the two
+    before: float  # share of the second
+    after: float
+    multiplier: int
     F: Matrix  # [A, leading directions of N M], in the coordinates of the program
     innovation: Vector  # c
 
@@ -319,7 +372,7 @@ class _Constraint:
 class _Program:
     """The semidefinite program of `_search` as matrices."""
 
-    def __init__(self, loop: GainScheduledLoop, nodes: Vector) -> None:
+    def __init__(self, loop: GainScheduledLoop, nodes: Indices) -> None:
         tube = loop.tube
         self.s = s = loop.family.states
         self.q = s + min(LEADING, tube.centres.shape[-1])
@@ -327,61 +380,64 @@ class _Program:
         self.back = back = _coordinates(loop, nodes)
         self.of_P = len(nodes) * s * (s + 1) // 2
         forth = np.linalg.inv(back)
+        c = loop.family.innovation @ forth
         self.constraints: list[_Constraint] = []
-        for node, edge in enumerate(nodes):
-            interval = min(edge, len(tube.centres) - 1)
+        points = self._list_points(tube)
+        self.balance = np.zeros(len(points))
+        for number, (interval, node, before, after) in enumerate(points):
+            balance = 0.0
             for vertex in loop.family.vertices[loop.family.corners]:
                 A = back @ loop.close(vertex, tube.centres[interval]) @ forth
                 H = back @ vertex[:, s:] @ tube.shapes[interval]
                 vectors, values, _ = np.linalg.svd(H, full_matrices=False)
                 leading = vectors[:, : self.q - s] * values[: self.q - s]
-                c = loop.family.innovation @ forth
-                # Both of one size.
-                balance = math.sqrt(np.linalg.norm(c) / max(values[0], 1e-300))
+                # Both of one size; all corners have one multiplier.
+                if not balance:
+                    balance = math.sqrt(np.linalg.norm(c) / max(values[0], 1e-300))
+                self.balance[number] = balance
                 F = np.hstack([A, leading * balance])
-                for other, share in self._list_neighbours(tube, node):
-                    self.constraints.append(
-                        _Constraint(node, other, share, F, c / balance)
-                    )
-        self.variables = self.of_P + len(self.constraints)
+                self.constraints.append(
+                    _Constraint(node, before, after, number, F, c / balance)
+                )
+        self.variables = self.of_P + len(points)
 
-    def _list_neighbours(self, tube: GainTube, node: int) -> list[tuple[int, float]]:
-        """Return the nodes that R moves to or from, and by which share of the way."""
+    def _list_points(self, tube: GainTube) -> list[tuple[int, int, float, float]]:
+        """Return interval, first node, and the share of the second before and after a move."""
         if len(self.nodes) == 1:
-            return [(0, 0.0)]
-        positions = tube.edges[self.nodes]
-        neighbours = []
-        for other in (node - 1, node + 1):
-            if 0 <= other < len(positions):
-                share = tube.step / abs(positions[other] - positions[node])
-                neighbours.append((other, share))
-                if len(positions) - 1 in (node, other) or 0 in (node, other):
-                    if node in (0, len(positions) - 1):
-                        neighbours.append((other, -share))
-        return neighbours
+            return [(0, 0, 0.0, 0.0)]
+        points = [(0, 0, 0.0, 0.0)]
+        for node, (first, last) in enumerate(zip(self.nodes[:-1], self.nodes[1:])):
+            step = tube.step / (tube.edges[last] - tube.edges[first])
+            points.append((first, node, 0.0, step))
+            points.append((min(last, len(tube.centres) - 1), node, 1.0, 1.0 - step))
+        points.append((len(tube.centres) - 1, node, 1.0, 1.0))
+        return points
 
-    def inequalities(self) -> tuple[Matrix, Vector]:
+    def inequalities(self, wanted: float) -> tuple[Matrix, Vector]:
         """Return A and b of A x + slack = b, the slack of every constraint in the cone."""
         from scipy import sparse
 
         s, q = self.s, self.q
         size = q * (q + 1) // 2
         of_node = s * (s + 1) // 2
-        before = congruence(np.eye(s, q)[None])[0]
+        kept = (1.0 - wanted) * congruence(np.eye(s, q)[None])[0]
         after = congruence(np.array([each.F for each in self.constraints]))
         target = np.zeros((q, q))
         target[:s, :s] = np.eye(s)
         rows, columns, values = [], [], []
         for number, constraint in enumerate(self.constraints):
-            share = constraint.share
+            share, share_after = constraint.before, constraint.after
             multiplier = np.zeros((q, q))
             multiplier[:s, :s] = np.outer(constraint.innovation, constraint.innovation)
             multiplier[s:, s:] = -np.eye(q - s)
+            first = (1.0 - share_after) * after[number] - (1.0 - share) * kept
+            second = share_after * after[number] - share * kept
             blocks = [
-                (constraint.node * of_node, (1.0 - share) * after[number] - before),
-                (constraint.other * of_node, share * after[number]),
-                (self.of_P + number, to_vector(multiplier)[:, None]),
+                (constraint.node * of_node, first),
+                (self.of_P + constraint.multiplier, to_vector(multiplier)[:, None]),
             ]
+            if len(self.nodes) > 1:
+                blocks.append(((constraint.node + 1) * of_node, second))
             for column, block in blocks:
                 at = np.nonzero(block)
                 rows.append(at[0] + number * size)
@@ -396,7 +452,7 @@ class _Program:
         return sparse.csc_matrix(entries, shape=shape), constants
 
 
-def _coordinates(loop: GainScheduledLoop, nodes: Vector) -> Matrix:
+def _coordinates(loop: GainScheduledLoop, nodes: Indices) -> Matrix:
     """Return Y of y = Y x in which a Lyapunov matrix of the middle node is 1, shape (s, s)."""
     middle = min(nodes[len(nodes) // 2], len(loop.tube.centres) - 1)
     A = loop.close(loop.nominal, loop.tube.centres[middle])
@@ -410,7 +466,7 @@ def _coordinates(loop: GainScheduledLoop, nodes: Vector) -> Matrix:
     return coordinates
 
 
-def _triangle(size: int) -> tuple[Vector, Vector, Vector]:
+def _triangle(size: int) -> tuple[Indices, Indices, Vector]:
     """Return row and column of the upper triangle, column by column, and 1 or sqrt(2) there."""
     columns, rows = np.tril_indices(size)
     return rows, columns, np.where(rows == columns, 1.0, math.sqrt(2.0))

@@ -104,7 +104,9 @@ def bound_covariances(observer: ObserverDesign, R: Vector) -> tuple[Matrix, Matr
     return L, U
 
 
-def predict_covariance(observer: ObserverDesign, P_1: Matrix, R: float) -> Matrix:
+def predict_covariance(
+    observer: ObserverDesign, P_1: Matrix, R: float | Vector
+) -> Matrix:
     """Return the next P_1 after a correction with R (P04 eqs 39-40), shape (..., n, n)."""
     column = P_1[..., :, :1]
     variance = P_1[..., :1, :1] + np.asarray(R)[..., None, None]

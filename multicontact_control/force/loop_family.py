@@ -2,8 +2,9 @@
 The force loops of a box of surfaces, delays, tools and arms, as the hull of a few matrices.
 
 One contact, as in `margins.closed_loop` with one: of the state
-[z, dz/dt, inputs under way, measured force, prediction x_1 of the observer], one period is
-x_(k+1) = (A + N K c^T) x_k, where K is the gain of the observer and c^T x the innovation.
+[k z, k dz/dt, k inputs under way, measured force, prediction x_1 of the observer], one period is
+x_(k+1) = (A + N K c^T) x_k, where K is the gain of the observer and c^T x the innovation. By k
+a way is the same force on every surface; a surface keeps its k.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 import math
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Indices, Mask, Matrix, Vector
 from multicontact_control.force.enclosures import UNIT
 from multicontact_control.force.observer import ObserverDesign
 import numpy as np
@@ -23,7 +24,7 @@ SERIES_TERMS = 12  # of motions over a period, |a| h^2 and b h below 1
 
 @dataclass(frozen=True)
 class Box:
-    """What is known of the plant: all of it within these ranges, and constant or not."""
+    """What is known of the plant: all of it within these ranges, and but for k constant or not."""
 
     stiffness: Range  # k [N/m]
     delay: Range  # T_d, within one period: (d - 1) h to d h [s]
@@ -51,7 +52,7 @@ class LoopFamily:
     """
 
     vertices: Matrix  # shape (v, s, s + n)
-    corners: Vector  # numbers of the vertices that are loops at the corners of the box
+    corners: Indices  # numbers of the vertices that are loops at the corners of the box
     radius: Matrix  # of every entry, shape (s, s + n)
     innovation: Vector  # c, shape (s,)
 
@@ -66,10 +67,12 @@ def enclose_loops(model: ForceLoopModel, box: Box) -> LoopFamily:
     Return loops whose hull contains those of a box.
 
     With phi(t) the speed and gamma(t) the way after t of a unit impulse on
-    d^2z/dt^2 = -a z - b dz/dt, a = B k and b = B c, every entry of [A, N] is a polynomial of
-    degree 2 in k, B and in the time t = d h - T_d for which the newer input acts, and 1 in M_t,
-    once phi(t) and gamma(t) are of degree 2. The coefficients of Bernstein's form span a
-    hull of such a polynomial; what phi and gamma differ by from theirs is the radius.
+    d^2z/dt^2 = -a z - b dz/dt, a = B k and b = B c, every entry of [A, N] is affine in k and
+    1 / k, and a polynomial of degree 2 in B and in the time t = d h - T_d for which the newer
+    input acts, and 1 in M_t, once phi(t) and gamma(t) are of degree 2. The curve (k, 1 / k) is
+    within the triangle of its ends and of where its tangents there meet; the coefficients of
+    Bernstein's form span a hull of the polynomial; what phi and gamma differ by from theirs is
+    the radius.
 
     Raises
     ------
@@ -83,27 +86,29 @@ def enclose_loops(model: ForceLoopModel, box: Box) -> LoopFamily:
     if first < (waiting - 1) * h - 1e-9 * h:
         raise ValueError('the delays of a box are those of one period')
     acting = (max(waiting * h - last, 0.0), min(waiting * h - first, h))
-    axes = (box.stiffness, box.mobility, acting)
+    axes = (box.mobility, acting)
     response = _approximate_response(model, box, acting)
-    radius = np.zeros(0)
     groups = []
+    marks = []
+    at_corners = _mark_corners(axes)
     for tool_mass in dict.fromkeys(box.tool_mass):
         for oldest_acts in dict.fromkeys((False, acting[0] == 0.0)):
-            values = []
-            for k, B, t in product(*(_three_points(axis) for axis in axes)):
-                at_point = _Point(k, B, tool_mass, t, waiting, oldest_acts)
-                values.append(_loop_at(model, at_point, response))
-            grid = np.array(values).reshape(3, 3, 3, *values[0].shape)
-            groups.append(_bernstein(grid, axes))
+            for k, softness in _enclose_stiffness(box.stiffness):
+                values = []
+                for B, t in product(*(_three_points(axis) for axis in axes)):
+                    at = _Point(k, softness, B, tool_mass, t, oldest_acts)
+                    values.append(_loop_at(model, waiting, at, response))
+                grid = np.array(values).reshape(3, 3, *values[0].shape)
+                groups.append(_bernstein(grid, axes))
+                marks.append(at_corners & (k in box.stiffness))
     radius = _radius(model, box, waiting, response)
     vertices = np.concatenate(groups)
-    at_corners = np.concatenate([_mark_corners(axes)] * len(groups))
     # Of some 200 roundings, in numbers up to 8 times those of the result.
     rounding = 2000.0 * UNIT * np.abs(vertices).max(axis=0)
     innovation = np.zeros(vertices.shape[1])
     innovation[waiting + 2] = 1.0
     innovation[waiting + 3] = -1.0
-    corners = np.flatnonzero(at_corners)
+    corners = np.flatnonzero(np.concatenate(marks))
     return LoopFamily(vertices, corners, radius + rounding, innovation)
 
 
@@ -112,10 +117,10 @@ class _Point:
     """A plant, where the entries of a loop are evaluated."""
 
     k: float
+    softness: float  # 1 / k
     B: float
     tool_mass: float
     t: float  # for which the newer input acts [s]
-    waiting: int  # d
     oldest_acts: bool  # still, when the force is measured
 
 
@@ -185,39 +190,49 @@ def _approximate_response(model: ForceLoopModel, box: Box, acting: Range) -> _Re
     )
 
 
-def _loop_at(model: ForceLoopModel, at: _Point, response: _Response) -> Matrix:
+def _loop_at(
+    model: ForceLoopModel, waiting: int, at: _Point, response: _Response
+) -> Matrix:
     """Return [A, N] of one plant, with the parabolas of its response, shape (s, s + n)."""
     observer = model.observer
     n = len(observer.Gamma)
-    d = at.waiting
+    d = waiting
     measured, predicted = d + 2, d + 3
     size = predicted + n
     newest = d + 1
-    a, b = at.B * at.k, at.B * model.surface_damping
-    # The answer w, by the state and, from `size` on, by K times the innovation.
-    answer = np.zeros(size + n)
+    b = at.B * model.surface_damping
+    # Of the state, and of K times the innovation, from `size` on: the ways, speeds and inputs
+    # themselves, and k times these.
+    itself = np.zeros((d + 3, size + n))
+    itself[: d + 2, : d + 2] = at.softness * np.eye(d + 2)
     of_estimate = -observer.feedback.copy()
     of_estimate[0] += at.B * (1.0 - model.fed_share)
-    answer[predicted:size] = of_estimate
-    answer[size:] = of_estimate
-    answer[1] = -model.damping_rate
+    itself[d + 2, predicted:size] = of_estimate
+    itself[d + 2, size:] = of_estimate
+    itself[d + 2, 1] = -model.damping_rate * at.softness
+    by_k = itself.copy()
+    by_k[: d + 2, : d + 2] = np.eye(d + 2)
+    by_k[d + 2] *= at.k
+    by_k[d + 2, 1] = -model.damping_rate
 
-    inputs = np.zeros((d + 1, size + n))  # from the oldest under way to the answer
-    for j in range(d):
-        inputs[j, 2 + j] = 1.0
-    inputs[d] = answer
     way_t = float(np.polyval(response.way, at.t))
     speed_t = float(np.polyval(response.speed, at.t))
+    # What the spring does is B times the force, k z.
+    of_way = np.zeros(size + n)
+    of_way[0] = at.B
     loop = np.zeros((size, size + n))
-    loop[0, 0] = 1.0 - a * response.way_h
-    loop[0, 1] = response.speed_h
-    loop[1, 0] = -a * response.speed_h
-    loop[1, 1] = 1.0 - b * response.speed_h - a * response.way_h
-    loop[0] += (response.way_h - way_t) * inputs[0] + way_t * inputs[1]
-    loop[1] += (response.speed_h - speed_t) * inputs[0] + speed_t * inputs[1]
-    loop[2 : newest + 1] = inputs[1:]
-    acting = inputs[0] if at.oldest_acts else inputs[1]
-    force = at.k * loop[0] + model.surface_damping * loop[1]
+    way = by_k[0] - at.k * response.way_h * of_way + response.speed_h * by_k[1]
+    loop[0] = way + (response.way_h - way_t) * by_k[2] + way_t * by_k[3]
+    after_h = 1.0 - b * response.speed_h
+    loop[1] = after_h * by_k[1] - at.k * (response.speed_h * of_way)
+    loop[1, 1] -= at.B * at.k * response.way_h
+    loop[1] += (response.speed_h - speed_t) * by_k[2] + speed_t * by_k[3]
+    speed = after_h * itself[1] - response.speed_h * of_way
+    speed[1] -= at.B * response.way_h
+    speed += (response.speed_h - speed_t) * itself[2] + speed_t * itself[3]
+    loop[2 : newest + 1] = by_k[3:]
+    acting = itself[2] if at.oldest_acts else itself[3]
+    force = loop[0] + model.surface_damping * speed
     loop[measured] = (1.0 - at.tool_mass * at.B) * force + at.tool_mass * acting
     # The law: x_1 = Phi_c (x_1 + K innovation).
     loop[predicted:, predicted:size] = observer.Phi_c
@@ -230,9 +245,11 @@ def _radius(
 ) -> Matrix:
     """Return how far entries may be off because gamma and phi are, shape (s, s + n)."""
     stiffest, most_mobile = box.stiffness[1], box.mobility[1]
-    at = _Point(stiffest, most_mobile, box.tool_mass[1], 0.0, waiting, False)
-    shape = _loop_at(model, at, response).shape
-    answer = np.abs(_loop_at(model, at, response)[waiting + 1])
+    softest = 1.0 / box.stiffness[0]
+    at = _Point(stiffest, softest, most_mobile, box.tool_mass[1], 0.0, False)
+    stiffest_loop = _loop_at(model, waiting, at, response)
+    shape = stiffest_loop.shape
+    answer = np.abs(stiffest_loop[waiting + 1])
     a, b = most_mobile * stiffest, most_mobile * model.surface_damping
     way, speed = response.way_radius, response.speed_radius
     radius = np.zeros(shape)
@@ -243,20 +260,33 @@ def _radius(
         radius[1, j] += 2.0 * speed
     if waiting == 1:
         # The least mobile arm answers no more than this either, up to what is fed forward.
-        fed = most_mobile * abs(1.0 - model.fed_share)
+        fed = most_mobile * abs(1.0 - model.fed_share) * stiffest
         answer[3 + waiting] += 2.0 * fed
         answer[-len(model.observer.Gamma)] += 2.0 * fed
         radius[0, 3] = radius[1, 3] = 0.0
         radius[0] += way * answer
         radius[1] += speed * answer
     radius[waiting + 2] = max(1.0, most_mobile * box.tool_mass[1]) * (
-        stiffest * radius[0] + model.surface_damping * radius[1]
+        radius[0] + model.surface_damping * softest * radius[1]
     )
     return radius
 
 
 def _three_points(axis: Range) -> tuple[float, float, float]:
     return axis[0], 0.5 * (axis[0] + axis[1]), axis[1]
+
+
+def _enclose_stiffness(stiffness: Range) -> list[tuple[float, float]]:
+    """Return k and 1 / k at the corners of a triangle around the curve."""
+    low, high = stiffness
+    if low == high:
+        return [(low, 1.0 / low)]
+    whole = low + high
+    return [
+        (low, 1.0 / low),
+        (2.0 * low * high / whole, 2.0 / whole),
+        (high, 1.0 / high),
+    ]
 
 
 def _mark_corners(axes: tuple[Range, ...]) -> Mask:
