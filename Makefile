@@ -40,7 +40,7 @@ ifeq ($(ROS),native)
   KEPT := 'numpy<2'
   RUN_PACKAGE := .
   VIEW_PACKAGE := .[view]
-  TEST_PACKAGE := .[pybullet,robots,mujoco,dask,learning,view,docs,test]
+  TEST_PACKAGE := .[pybullet,robots,mujoco,dask,learning,view,certify,docs,test]
   DOCS_PACKAGE := .[docs]
 else
   PYTHON ?= python3
@@ -48,7 +48,7 @@ else
   KEPT :=
   RUN_PACKAGE := .[ros]
   VIEW_PACKAGE := .[ros,view]
-  TEST_PACKAGE := .[ros,rostest,pybullet,robots,mujoco,dask,learning,view,docs,test]
+  TEST_PACKAGE := .[ros,rostest,pybullet,robots,mujoco,dask,learning,view,certify,docs,test]
   DOCS_PACKAGE := .[ros,docs]
 endif
 

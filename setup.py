@@ -88,6 +88,10 @@ extras_require = {
     'learning': [
         'gymnasium>=1.0,<2',
     ],
+    # Certificates of force loops, `design --certify`: a solver of semidefinite programs.
+    'certify': [
+        'clarabel>=0.10,<0.12',
+    ],
     # To see and steer it in the browser: `multicontact view`; viser listens by websockets.
     'view': [
         'viser>=1.1,<1.2',

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 Bytes = NDArray[np.uint8]  # 0 or 1: what a record holds of yes and no
 
 

@@ -65,7 +65,7 @@ def test_citation_has_the_version_and_the_licence_of_the_package(keywords):
 
 def test_every_import_is_declared(keywords):
     lines = list(keywords['install_requires'])
-    for extra in ('dask', 'franka', 'learning', 'mujoco', 'pin', 'view'):
+    for extra in ('certify', 'dask', 'franka', 'learning', 'mujoco', 'pin', 'view'):
         lines += keywords['extras_require'].get(extra, [])
     declared = {element.text for element in MANIFEST.iter('exec_depend')}
     for line in lines:

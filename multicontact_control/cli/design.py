@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 from multicontact_control.choices import LawChoice
-from multicontact_control.cli.options import flatten_options
+from multicontact_control.cli.options import (
+    flatten_options,
+    is_given,
+    Robot,
+)
 import typer
 
 
@@ -33,12 +37,72 @@ class ModelOptions:
     rate: Annotated[float, typer.Option(help='Control rate [Hz].', min=1.0)] = 500.0
 
 
+@dataclass(frozen=True)
+class CertifyOptions:
+    """Options of `design --certify`: whose loop, and what is known of its plant and of R."""
+
+    certify: Annotated[
+        bool,
+        typer.Option(
+            '--certify',
+            help='Prove for which surfaces and delays the loop of a preset is stable, however R '
+            'changes; with --stiffness, find the fastest time constant that is proved there. '
+            'Takes minutes.',
+        ),
+    ] = False
+    robot: Robot = ''
+    preset: Annotated[str, typer.Option(help='With --certify: the preset.')] = 'best'
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set', metavar='KEY=VALUE', help='With --certify: a value laid over it.'
+        ),
+    ] = None
+    delay: Annotated[
+        tuple[float, float],
+        typer.Option(metavar='LEAST MOST', help='With --certify: range of T_d [s].'),
+    ] = (0.0, 0.008)
+    tool: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar='LIGHTEST HEAVIEST',
+            help="With --certify: range of the tool's mass [kg]; that of the robot if not given.",
+        ),
+    ] = None
+    mobility: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar='LEAST MOST',
+            help='With --certify: range of 1 / the mass of the arm along the normal [1/kg]; that '
+            "of the first contact at the arm's home if not given.",
+        ),
+    ] = None
+    slew_time: Annotated[
+        float,
+        typer.Option(
+            help='With --certify: time in which R changes by a factor e at most [s], as '
+            'noise_estimator.slew_time has it; 0 lets it jump.',
+            min=0.0,
+        ),
+    ] = 0.1
+    attacks: Annotated[
+        int,
+        typer.Option(help='With --certify: runs of adversaries in the region.', min=0),
+    ] = 0
+
+
 @flatten_options
 def design(
+    context: typer.Context,
     law: Annotated[LawChoice, typer.Argument(metavar='LAW', help='Force law.')],
     model: ModelOptions,
+    certified: CertifyOptions,
     out: Annotated[
-        Path | None, typer.Option(help='Parameter file to write, for --preset.')
+        Path | None,
+        typer.Option(
+            help='Parameter file to write, for --preset; with --certify the picture of the '
+            'region, a PNG or PDF.'
+        ),
     ] = None,
 ) -> None:
     """
@@ -50,6 +114,9 @@ def design(
     """
     from multicontact_control.commissioning import law_report
 
+    if certified.certify:
+        _certify(context, law, model, certified, out)
+        return
     result = law_report.design_for_range(
         law,
         stiffness=model.stiffness,
@@ -62,3 +129,59 @@ def design(
     if out is not None:
         law_report.write_design(result, out)
         typer.echo(f'written to {out}')
+
+
+def _certify(
+    context: typer.Context,
+    law: LawChoice,
+    model: ModelOptions,
+    asked: CertifyOptions,
+    out: Path | None,
+) -> None:
+    """Print the certified region of a preset, or its fastest certified time constant."""
+    from multicontact_control.commissioning import certified_region
+    from multicontact_control.commissioning.certified_region import require_range
+    from multicontact_control.errors import ConfigError
+    from multicontact_control.force.certificate import require_solver
+    from multicontact_control.runs.overrides import resolve_with
+    from multicontact_control.runs.scenario import resolve
+    import numpy as np
+
+    require_solver()
+    if law != 'aob':
+        raise ConfigError('LAW', 'aob, whose gain follows R', law)
+    require_range('delay', asked.delay)
+    require_range('tool', asked.tool)
+    require_range('mobility', asked.mobility, positive=True)
+    require_range('stiffness', model.stiffness, positive=True)
+    settings = [f'controller.force.law={law}', *(asked.settings or ())]
+    arguments = {'scenario': 'step', 'robot': asked.robot, 'preset': asked.preset}
+    setup = resolve_with(resolve, arguments, settings)
+    loop = certified_region.describe_loop(
+        setup, asked.slew_time, asked.tool, asked.mobility
+    )
+    typer.echo(certified_region.describe_assumptions(loop, setup.noise_estimator))
+    if is_given(context, 'stiffness'):
+        force = setup.controller.force
+        found = certified_region.design_certified(
+            loop, force, model.stiffness, asked.delay, typer.echo
+        )
+        typer.echo(certified_region.describe_certified(found, force, model.stiffness))
+        return
+    rng = np.random.default_rng(0)
+    boxes = []
+    edges = {}
+    for strip in certified_region.split_delays(asked.delay, loop.model.period):
+        for box in certified_region.find_region(loop, strip):
+            boxes.append(box)
+            typer.echo(certified_region.describe_box(box, loop.model.period))
+        edges[strip] = certified_region.find_simulated_edges(loop, strip, rng)
+        typer.echo(certified_region.describe_edges(strip, edges[strip]))
+    share = certified_region.measure_share(boxes, edges)
+    typer.echo(certified_region.describe_share(share))
+    if out is not None:
+        certified_region.draw_region(boxes, edges, asked.preset).savefig(out, dpi=150)
+        typer.echo(f'written to {out}')
+    if boxes and asked.attacks:
+        result = certified_region.attack_region(loop, boxes, asked.attacks, rng)
+        typer.echo(certified_region.describe_attacks(result))

@@ -135,17 +135,23 @@ def design_observer(
     )
 
 
+def solve_steady_covariance(observer: ObserverDesign, noise_variance: float) -> Matrix:
+    """Return the covariance P_1, shape (n, n), of predictions with a constant R [N^2]."""
+    C = np.zeros((observer.Q.shape[0], 1))
+    C[0] = 1.0
+    P_1: Matrix = solve_discrete_are(
+        observer.Phi_n.T, C, np.diag(observer.Q), np.array([[noise_variance]])
+    )
+    return P_1
+
+
 def solve_steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     """
     Return the gain K, shape (n,), that an observer settles at with a constant R [N^2].
 
     From the stabilising solution P_1 of the discrete Riccati equation of P04 eqs 39-40.
     """
-    C = np.zeros((observer.Q.shape[0], 1))
-    C[0] = 1.0
-    P_1 = solve_discrete_are(
-        observer.Phi_n.T, C, np.diag(observer.Q), np.array([[noise_variance]])
-    )
+    P_1 = solve_steady_covariance(observer, noise_variance)
     gain: Vector = P_1[:, 0] / (P_1[0, 0] + noise_variance)
     return gain
 

@@ -3,6 +3,7 @@
 import math
 
 from multicontact_control.cli.options import describe_files
+from multicontact_control.commissioning.arm_loop import ArmLoop
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.faults.vocabulary import FAULTS
@@ -17,7 +18,6 @@ from multicontact_control.study.measure import measure_run, metrics_row
 from multicontact_control.study.presets import make_study, situations
 from multicontact_control.study.presets.compare import CompareStudy
 from multicontact_control.study.presets.faults import FaultJob
-from multicontact_control.study.presets.map import ArmLoop
 from multicontact_control.study.presets.tune import cost_of_run, SCALES
 from multicontact_control.study.study import Results, run_study
 import pandas as pd

@@ -1,0 +1,533 @@
+"""
+For which surfaces and delays a configured force loop is certified; what attacks it withstands.
+
+`force/certificate.py` proves one box of plants; here boxes are put side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+import math
+from typing import NamedTuple
+
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.commissioning.arm_loop import ArmLoop
+from multicontact_control.config import ForceConfig, NoiseEstimatorConfig
+from multicontact_control.errors import ConfigError
+from multicontact_control.force.adversary import attack, AttackedLoops
+from multicontact_control.force.certificate import (
+    Certificate,
+    find_certificate,
+    GainScheduledLoop,
+)
+from multicontact_control.force.gain_tube import enclose_gains, RateLimit
+from multicontact_control.force.laws.aob import design_aob
+from multicontact_control.force.laws.design import LoopModel
+from multicontact_control.force.loop_family import (
+    Box,
+    enclose_loops,
+    ForceLoopModel,
+    Range,
+)
+from multicontact_control.force.margins import find_last_stable, spectral_radius
+from multicontact_control.force.observer import solve_steady_gain
+from multicontact_control.runs.scenario import Setup
+import numpy as np
+from numpy.random import Generator
+from scipy.linalg import solve_discrete_lyapunov
+
+FIRST_FACTOR = 1.5  # of the stiffness, over the first box that is tried
+LAST_FACTOR = 1.07  # at which the search for a boundary ends
+LOWEST_RATIO, HIGHEST_RATIO = 0.1, 10.0  # true over modelled stiffness, of the search
+STRIP = 0.5  # of a period, delays of one box
+LONGEST_ATTACK = 2000  # periods
+LARGEST_FALL = 1e4  # of V, after which an attack ends
+RUNS_PER_POINT = 16
+HELD = 12  # values of R of a boundary
+EDGE_TOLERANCE = 0.02  # relative, of simulated boundaries
+TIME_CONSTANTS = np.geomspace(0.01, 0.16, 13).tolist()  # s, of a design
+OUTSIDE = """outside the model, and so of the proof: flexible drives, stiction, torque limits, loss
+of contact, what the contacts do to each other through the arm, samples without a force"""
+
+
+@dataclass(frozen=True)
+class CertifiedLoop:
+    """A force loop whose region is asked for, and what is known of its R, tool and arm."""
+
+    model: ForceLoopModel
+    stiffness: float  # of the model, to which ratios refer [N/m]
+    limit: RateLimit
+    tool_mass: Range  # [kg]
+    mobility: Range  # [1/kg]
+
+    def certify(self, stiffness: Range, delay: Range) -> Certificate | None:
+        """Return a certificate for a box of stiffness [N/m] and delay [s], or None."""
+        box = Box(stiffness, delay, self.tool_mass, self.mobility)
+        tube = enclose_gains(self.model.observer, self.limit, self.model.period)
+        family = enclose_loops(self.model, box)
+        return find_certificate(GainScheduledLoop(family, tube))
+
+    def sample(self, stiffness: float, delay: float, rng: Generator) -> Matrix:
+        """Return [A, N] of one plant, of a tool and an arm within their ranges."""
+        tool_mass = float(rng.uniform(*self.tool_mass))
+        mobility = float(rng.uniform(*self.mobility))
+        point = Box(
+            (stiffness, stiffness),
+            (delay, delay),
+            (tool_mass, tool_mass),
+            (mobility, mobility),
+        )
+        loop: Matrix = enclose_loops(self.model, point).vertices[0]
+        return loop
+
+
+def describe_loop(
+    setup: Setup,
+    slew_time: float,
+    tool_mass: Range | None = None,
+    mobility: Range | None = None,
+) -> CertifiedLoop:
+    """
+    Return the loop of the first contact of a setup.
+
+    Parameters
+    ----------
+    setup
+        Of the arm, with the active observer as force law.
+    slew_time
+        In which R changes by a factor e at most [s].
+    tool_mass, mobility
+        Their ranges [kg], [1/kg]; those of the setup at its home if not given.
+
+    """
+    arm = ArmLoop(setup)
+    bounds = setup.controller.noise_variance
+    own_mass, own_mobility = arm.tool_inertia[0, 0], arm.mobility[0, 0]
+    return CertifiedLoop(
+        arm.model_of(0),
+        float(arm.stiffness[0]),
+        RateLimit(bounds.smallest, bounds.largest, slew_time),
+        tool_mass or (own_mass, own_mass),
+        mobility or (own_mobility, own_mobility),
+    )
+
+
+def require_range(name: str, limits: Range | None, *, positive: bool = False) -> None:
+    """Raise a ConfigError if a range, if there is one, does not rise from 0 or above it."""
+    if limits is None:
+        return
+    low, high = limits
+    if not 0.0 <= low <= high < math.inf or (positive and low == 0.0):
+        least = 'above 0' if positive else '0 or more'
+        raise ConfigError(
+            name, f'a range of rising values, {least}', f'{low:g} {high:g}'
+        )
+
+
+class CertifiedBox(NamedTuple):
+    """A box of the region: ratios of true and modelled stiffness, delays [s]."""
+
+    ratio: Range
+    delay: Range
+    certificate: Certificate
+
+
+def split_delays(delay: Range, period: float) -> list[Range]:
+    """Return strips of delays [s], each within one half of a period."""
+    width = STRIP * period
+    first = math.floor(delay[0] / width + 1e-9)
+    last = max(math.ceil(delay[1] / width - 1e-9), first + 1)
+    edges = np.clip(width * np.arange(first, last + 1), *delay).tolist()
+    return list(zip(edges[:-1], edges[1:]))
+
+
+def find_region(loop: CertifiedLoop, delay: Range) -> Iterator[CertifiedBox]:
+    """
+    Yield certified boxes of one strip of delays, from a ratio of 1 upwards, then downwards.
+
+    Where a box is not certified its factor becomes its square root, until that is below 1.07;
+    there the region ends.
+    """
+    for upwards in (True, False):
+        reached = 1.0
+        factor = FIRST_FACTOR
+        while factor >= LAST_FACTOR and LOWEST_RATIO < reached < HIGHEST_RATIO:
+            ratio = (reached, min(reached * factor, HIGHEST_RATIO))
+            if not upwards:
+                ratio = (max(reached / factor, LOWEST_RATIO), reached)
+            k = (ratio[0] * loop.stiffness, ratio[1] * loop.stiffness)
+            certificate = loop.certify(k, delay)
+            if certificate is None:
+                factor = math.sqrt(factor)
+                continue
+            yield CertifiedBox(ratio, delay, certificate)
+            reached = ratio[1] if upwards else ratio[0]
+
+
+class AttackResult(NamedTuple):
+    """What attacks on certified boxes came to."""
+
+    runs: int
+    violations: int  # runs in which V fell by less than certified in some period
+    largest_share: float  # largest V after a period over what is certified of it
+    largest_growth: float  # of the logarithm of the norm in a run
+
+
+def attack_region(
+    loop: CertifiedLoop, boxes: Sequence[CertifiedBox], runs: int, rng: Generator
+) -> AttackResult:
+    """
+    Attack certified boxes, half of the runs at their edges.
+
+    Each period of each run is held against the certificate: V must have fallen by its share.
+    """
+    per_box = max(runs // len(boxes), 1)
+    violations = 0
+    share = 0.0
+    growth = -math.inf
+    for box in boxes:
+        certificate = box.certificate
+        ticks = math.ceil(math.log(LARGEST_FALL) / -math.log(certificate.contraction))
+        attacked = _attacked_loops(loop, box, per_box, rng)
+        result = attack(attacked, certificate, min(ticks, LONGEST_ATTACK), rng)
+        violations += int((result.worst_ratio > certificate.contraction).sum())
+        share = max(share, result.worst_ratio.max() / certificate.contraction)
+        growth = max(growth, result.growth.max())
+    return AttackResult(per_box * len(boxes), violations, share, growth)
+
+
+def _attacked_loops(
+    loop: CertifiedLoop, box: CertifiedBox, count: int, rng: Generator
+) -> AttackedLoops:
+    """Return plants of a box, every other one at an edge of it."""
+    matrices = []
+    for number in range(count):
+        of_ratio, of_delay = rng.random(2)
+        if number % 4 == 1:
+            of_ratio = round(of_ratio)
+        if number % 4 == 3:
+            of_delay = round(of_delay)
+        ratio = box.ratio[0] * (box.ratio[1] / box.ratio[0]) ** of_ratio
+        # The first delay may be the last of the period before, with a state less.
+        first = box.delay[0] + 1e-6 * loop.model.period
+        delay = first + of_delay * (box.delay[1] - first)
+        matrices.append(loop.sample(ratio * loop.stiffness, delay, rng))
+    return _make_attacked(loop, matrices, box.delay)
+
+
+def _make_attacked(
+    loop: CertifiedLoop, matrices: Sequence[Matrix], delay: Range
+) -> AttackedLoops:
+    k = (loop.stiffness, loop.stiffness)
+    family = enclose_loops(loop.model, Box(k, delay, loop.tool_mass, loop.mobility))
+    return AttackedLoops(
+        np.array(matrices),
+        family.innovation,
+        loop.model.observer,
+        loop.limit,
+        loop.model.period,
+    )
+
+
+class SimulatedEdges(NamedTuple):
+    """Up to which ratio of true and modelled stiffness a loop is stable, from 0.1 upwards."""
+
+    held: float  # with every R that is held
+    attacked: float  # and with those of adversaries
+
+
+def find_simulated_edges(
+    loop: CertifiedLoop, delay: Range, rng: Generator
+) -> SimulatedEdges:
+    """
+    Return up to which ratio a loop is stable by eigenvalues and by simulation.
+
+    In the middle of a strip of delays [s], with the middle of tools and arms for R held; 0 if not
+    even the smallest ratio is stable.
+    """
+    middle = 0.5 * (delay[0] + delay[1])
+    gains = [
+        solve_steady_gain(loop.model.observer, R)
+        for R in np.geomspace(loop.limit.smallest, loop.limit.largest, HELD)
+    ]
+
+    def is_stable(ratio: float) -> bool:
+        return _radius(loop, ratio, middle, gains) < 1.0
+
+    ratios = np.geomspace(LOWEST_RATIO, HIGHEST_RATIO, 41).tolist()
+    stable, _ = find_last_stable(is_stable, ratios, EDGE_TOLERANCE)
+    held = min(stable, HIGHEST_RATIO)
+    if held == 0.0:
+        return SimulatedEdges(0.0, 0.0)
+
+    def withstands(ratio: float) -> bool:
+        return withstands_attacks(loop, delay, ratio, rng)
+
+    tried = np.geomspace(LOWEST_RATIO, held, 9).tolist()
+    attacked, _ = find_last_stable(withstands, tried, EDGE_TOLERANCE)
+    return SimulatedEdges(held, min(attacked, held))
+
+
+def _radius(
+    loop: CertifiedLoop, ratio: float, delay: float, gains: Sequence[Vector]
+) -> float:
+    """Return the largest spectral radius with some held gains."""
+    k = ratio * loop.stiffness
+    tool, arm = float(np.mean(loop.tool_mass)), float(np.mean(loop.mobility))
+    point = Box((k, k), (delay, delay), (tool, tool), (arm, arm))
+    family = enclose_loops(loop.model, point)
+    s = family.states
+    A, N = family.vertices[0][:, :s], family.vertices[0][:, s:]
+    return max(spectral_radius(A + np.outer(N @ K, family.innovation)) for K in gains)
+
+
+def withstands_attacks(
+    loop: CertifiedLoop, delay: Range, ratio: float, rng: Generator
+) -> bool:
+    """
+    Return whether no attack makes a loop grow, in the middle of a strip of delays.
+
+    The greedy adversaries follow a Lyapunov function of the middle gain.
+    """
+    middle = 0.5 * (delay[0] + delay[1])
+    gain = solve_steady_gain(
+        loop.model.observer, math.sqrt(loop.limit.smallest * loop.limit.largest)
+    )
+    k = ratio * loop.stiffness
+    matrices = [loop.sample(k, middle, rng) for _ in range(RUNS_PER_POINT)]
+    attacked = _make_attacked(loop, matrices, delay)
+    s = len(attacked.innovation)
+    held = matrices[0][:, :s] + np.outer(matrices[0][:, s:] @ gain, attacked.innovation)
+    if spectral_radius(held) >= 1.0:
+        return False
+    P = solve_discrete_lyapunov(held.T, np.eye(s))
+    measure = Certificate(np.zeros(1), P[None], 1.0)
+    result = attack(attacked, measure, LONGEST_ATTACK, rng)
+    grows = (result.growth > 0.0) & (result.late_growth > 0.0)
+    return not grows.any()
+
+
+class RegionShare(NamedTuple):
+    """Areas of a region in the plane of ln(k ratio) and T_d, over one another."""
+
+    of_held: float  # certified over stable with every R that is held
+    of_attacked: float  # over what withstands attacks
+
+
+def measure_share(
+    boxes: Sequence[CertifiedBox], edges: Mapping[Range, SimulatedEdges]
+) -> RegionShare:
+    """Return which share of the stable area boxes cover, by the edges of every strip."""
+    certified = 0.0
+    for box in boxes:
+        certified += (box.delay[1] - box.delay[0]) * math.log(
+            box.ratio[1] / box.ratio[0]
+        )
+    held = attacked = 0.0
+    for (first, last), edge in edges.items():
+        if edge.held > 0.0:
+            held += (last - first) * math.log(edge.held / LOWEST_RATIO)
+        if edge.attacked > 0.0:
+            attacked += (last - first) * math.log(edge.attacked / LOWEST_RATIO)
+    return RegionShare(
+        certified / held if held else 0.0, certified / attacked if attacked else 0.0
+    )
+
+
+def draw_region(
+    boxes: Sequence[CertifiedBox], edges: Mapping[Range, SimulatedEdges], title: str
+) -> Figure:
+    """Return the plane of k ratio and T_d: certified, simulated stable, not stable."""
+    figure = Figure(figsize=(5.2, 3.4), layout='constrained')
+    axes = figure.subplots()
+    names: set[str] = set()
+
+    def paint(delay: Range, ratio: Range, colour: str, name: str) -> None:
+        low, high = math.log10(ratio[0]), math.log10(ratio[1])
+        axes.add_patch(
+            Rectangle(
+                (1e3 * delay[0], low),
+                1e3 * (delay[1] - delay[0]),
+                high - low,
+                facecolor=colour,
+                edgecolor='white',
+                linewidth=0.4,
+                label='_' if name in names else name,
+            )
+        )
+        names.add(name)
+
+    for delay, edge in edges.items():
+        held, attacked = (max(ratio, LOWEST_RATIO) for ratio in edge)
+        paint(delay, (LOWEST_RATIO, attacked), '#9ecae1', 'withstands attacks')
+        paint(delay, (attacked, held), '#fdd0a2', 'stable with R held alone')
+        paint(delay, (held, HIGHEST_RATIO), '#d9d9d9', 'unstable')
+    for box in boxes:
+        paint(box.delay, box.ratio, '#2171b5', 'certified')
+    delays = [1e3 * delay for strip in edges for delay in strip]
+    axes.set_xlim(min(delays), max(delays))
+    axes.set_ylim(math.log10(LOWEST_RATIO), math.log10(HIGHEST_RATIO))
+    ticks = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+    axes.set_yticks([math.log10(tick) for tick in ticks], [f'{t:g}' for t in ticks])
+    axes.set_xlabel('T_d [ms]')
+    axes.set_ylabel('stiffness over its model')
+    axes.set_title(title, fontsize=9)
+    figure.legend(loc='outside lower center', ncols=2, fontsize=8)
+    return figure
+
+
+class CertifiedDesign(NamedTuple):
+    """The fastest time constant whose region contains what was asked for."""
+
+    time_constant: float  # [s]
+    decay_rate: float  # the slowest that is certified [1/s]
+
+
+def design_certified(
+    loop: CertifiedLoop,
+    force: ForceConfig,
+    stiffness: Range,
+    delay: Range,
+    report: Callable[[str], None],
+) -> CertifiedDesign:
+    """
+    Return the fastest of the `TIME_CONSTANTS` with which all surfaces and delays are certified.
+
+    The model has the geometric mean of the stiffness [N/m] and the middle delay [s]. Found by
+    bisection: a slower loop is taken to be certified where a faster one is. Told to `report`, a
+    line each, is what was tried.
+
+    Raises
+    ------
+    ConfigError
+        If none of those tried is certified.
+
+    """
+    middle = LoopModel(
+        math.sqrt(stiffness[0] * stiffness[1]),
+        loop.model.damping_rate,
+        0.5 * (delay[0] + delay[1]),
+        loop.model.period,
+    )
+    best = None
+    low, high = 0, len(TIME_CONSTANTS)
+    while low < high:
+        tried = (low + high) // 2
+        time_constant = TIME_CONSTANTS[tried]
+        faster = force.model_copy(update={'time_constant': time_constant})
+        observer = design_aob(middle, faster)
+        candidate = replace(loop, model=replace(loop.model, observer=observer))
+        rates = []
+        for strip in split_delays(delay, loop.model.period):
+            rate = _certify_range(candidate, stiffness, strip)
+            rates.append(rate)
+            if rate == 0.0:
+                break
+        name = f'time constant {1e3 * time_constant:.1f} ms'
+        if min(rates) == 0.0:
+            first, last = (1e3 * edge for edge in strip)
+            report(f'{name}: not certified at T_d {first:.1f} to {last:.1f} ms')
+            low = tried + 1
+        else:
+            report(f'{name}: certified, decays at {min(rates):.3g} 1/s or faster')
+            best = CertifiedDesign(time_constant, min(rates))
+            high = tried
+    if best is None:
+        raise ConfigError(
+            'stiffness',
+            'a range that a time constant up to '
+            f'{1e3 * TIME_CONSTANTS[-1]:.0f} ms is certified on',
+            f'{stiffness[0]:g} to {stiffness[1]:g} N/m',
+        )
+    return best
+
+
+def _certify_range(loop: CertifiedLoop, stiffness: Range, delay: Range) -> float:
+    """Return the slowest decay certified on a range of stiffness [N/m], or 0 if not all is."""
+    low, high = stiffness
+    if high / low <= FIRST_FACTOR:
+        certificate = loop.certify(stiffness, delay)
+        if certificate is not None:
+            return certificate.decay_rate(loop.model.period)
+        if high / low < LAST_FACTOR**2:
+            return 0.0
+    middle = math.sqrt(low * high)
+    # The stiffest surfaces first, where loops mostly fail.
+    of_stiff = _certify_range(loop, (middle, high), delay)
+    if of_stiff == 0.0:
+        return 0.0
+    return min(of_stiff, _certify_range(loop, (low, middle), delay))
+
+
+def describe_assumptions(loop: CertifiedLoop, estimator: NoiseEstimatorConfig) -> str:
+    """Return under which conditions a certificate holds, as lines of text."""
+    limit = loop.limit
+    rate = 'may jump'
+    if limit.slew_time > 0.0:
+        rate = f'changes by a factor e in {limit.slew_time:g} s at most'
+    lines = [
+        f'R: {limit.smallest:g} to {limit.largest:g} N^2, {rate}',
+        f'tool: {loop.tool_mass[0]:.3g} to {loop.tool_mass[1]:.3g} kg; '
+        f'mobility: {loop.mobility[0]:.4g} to {loop.mobility[1]:.4g} 1/kg; '
+        f'model: {loop.stiffness:g} N/m',
+        OUTSIDE,
+    ]
+    if estimator.slew_time < limit.slew_time:
+        lines.append(
+            f'for this to hold set noise_estimator.slew_time to {limit.slew_time:g} s; the '
+            f'configuration has {estimator.slew_time:g} s'
+        )
+    return '\n'.join(lines)
+
+
+def describe_box(box: CertifiedBox, period: float) -> str:
+    """Return a certified box as a line of text."""
+    first, last = (1e3 * delay for delay in box.delay)
+    low, high = box.ratio
+    rate = box.certificate.decay_rate(period)
+    return (
+        f'T_d {first:.1f} to {last:.1f} ms, {low:.3f} to {high:.3f} of the stiffness: '
+        f'decays at {rate:.3g} 1/s or faster'
+    )
+
+
+def describe_edges(delay: Range, edges: SimulatedEdges) -> str:
+    """Return up to where a strip is stable, as a line of text."""
+    first, last = (1e3 * edge for edge in delay)
+    return (
+        f'T_d {first:.1f} to {last:.1f} ms: withstands attacks up to {edges.attacked:.3f}, '
+        f'stable with R held up to {edges.held:.3f} of the stiffness'
+    )
+
+
+def describe_share(share: RegionShare) -> str:
+    """Return how much of the stable area is certified, as a line of text."""
+    return (
+        f'certified: {100.0 * share.of_attacked:.0f} % of the area that withstands attacks, '
+        f'{100.0 * share.of_held:.0f} % of that with R held (from a ratio of {LOWEST_RATIO:g} on)'
+    )
+
+
+def describe_attacks(result: AttackResult) -> str:
+    """Return what attacks came to, as a line of text."""
+    return (
+        f'{result.runs} attacks: {result.violations} with less than the certified fall of V; '
+        f'largest V {result.largest_share:.4f} of what is certified, '
+        f'largest growth of a norm by e^{result.largest_growth:.1f}'
+    )
+
+
+def describe_certified(
+    found: CertifiedDesign, force: ForceConfig, stiffness: Range
+) -> str:
+    """Return a certified design and what it costs, as lines of text."""
+    middle = math.sqrt(stiffness[0] * stiffness[1])
+    return f"""force:
+  time_constant: {found.time_constant:.4g}
+model: {middle:.0f} N/m (--set 'controller.contacts.*.stiffness={middle:.0f}')
+certified decay     {found.decay_rate:.3g} 1/s or faster
+the preset has      {1e3 * force.time_constant:.3g} ms, {
+        found.time_constant / force.time_constant:.2f} times as slow is certified"""
