@@ -45,7 +45,7 @@ GOALS = {  # state that each transition leads to
 LARGEST_DOMAIN = 232  # for which there are ports
 PATIENCE = 300.0  # s, until a node is there, and has done its work
 FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
-ASK_PERIOD = 1.0  # s, between two requests for a state
+ASK_PERIOD = 1.0  # s, between two requests that change nothing
 QUEUED = (topics.STATUS, topics.DIAGNOSTICS)  # of which no message may be missed
 RESEND_PERIOD = 0.2  # s, of a command that is not answered
 CONNECTION_TIME = 2.0  # s, that the first command waits for all its readers at most
@@ -224,17 +224,10 @@ class ServiceClientNode:
 
     def get_state(self, node_name: str) -> str:
         """Return the state of a node, e.g. 'inactive'; NoAnswerError after `patience`."""
-        give_up = time.monotonic() + self._patience
-        # A node that is killed and started again seems to listen at first, and never answers.
-        while True:
-            try:
-                response = self.call_service(
-                    node_name, GetState, 'get_state', GetState.Request(), ASK_PERIOD
-                )
-                return str(response.current_state.label)
-            except NoAnswerError:
-                if time.monotonic() > give_up:
-                    raise
+        response = self.ask_service(
+            node_name, GetState, 'get_state', GetState.Request()
+        )
+        return str(response.current_state.label)
 
     def has_lifecycle(self, node_name: str, wait: float) -> bool:
         """Return whether a node has a life cycle, looking for it for up to `wait` [s]."""
@@ -291,12 +284,25 @@ class ServiceClientNode:
             )
         return future.result()
 
+    def ask_service(self, node_name: str, service: Any, name: str, request: Any) -> Any:
+        """
+        Return the response of a service that changes nothing; see `call_service`.
+
+        It is asked again every second: an answer may be lost, and a node that is killed and
+        started again seems to listen at first, and never answers. NoAnswerError after `patience`.
+        """
+        give_up = time.monotonic() + self._patience
+        while True:
+            try:
+                return self.call_service(node_name, service, name, request, ASK_PERIOD)
+            except NoAnswerError:
+                if time.monotonic() > give_up:
+                    raise
+
     def get_parameters(self, node_name: str, *names: str) -> list[Any]:
         """Return the values of parameters of a node; RunError with the names that it lacks."""
         request = GetParameters.Request(names=names)
-        response = self.call_service(
-            node_name, GetParameters, 'get_parameters', request
-        )
+        response = self.ask_service(node_name, GetParameters, 'get_parameters', request)
         values = [parameter_value_to_python(value) for value in response.values]
         if len(values) != len(names) or None in values:
             self._require_known(node_name, names)
@@ -326,7 +332,7 @@ class ServiceClientNode:
 
     def _require_known(self, node_name: str, names: Iterable[str]) -> None:
         """Refuse names of parameters that a node does not have; RunError with all of them."""
-        response = self.call_service(
+        response = self.ask_service(
             node_name, ListParameters, 'list_parameters', ListParameters.Request()
         )
         unknown = [f"'{name}'" for name in names if name not in response.result.names]

@@ -71,7 +71,7 @@ class SimulatedSurfaces:
     def _read_states(self) -> None:
         """Ask the simulator for the parameters of the surfaces that are drawn."""
         drawn_names = {surface.name for surface in self.drawn}
-        listed = self._link.call_service(
+        listed = self._link.ask_service(
             topics.SIM,
             ListParameters,
             'list_parameters',
