@@ -8,11 +8,14 @@ from typing import Annotated
 
 from multicontact_control.choices import LawChoice
 from multicontact_control.cli.options import (
+    EXIT_FAILED,
     flatten_options,
     is_given,
     Robot,
 )
 import typer
+
+PICTURES = ('.png', '.pdf')
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,11 @@ class CertifyOptions:
     ] = 0.1
     attacks: Annotated[
         int,
-        typer.Option(help='With --certify: runs of adversaries in the region.', min=0),
+        typer.Option(
+            help='With --certify: runs of adversaries in the region; exit code 1 if V falls by '
+            'less than is certified in one.',
+            min=0,
+        ),
     ] = 0
 
 
@@ -148,6 +155,8 @@ def _certify(
     import numpy as np
 
     require_solver()
+    if out is not None and not (out.suffix in PICTURES and out.parent.is_dir()):
+        raise ConfigError('out', 'a .png or .pdf in a folder that is there', str(out))
     if law != 'aob':
         raise ConfigError('LAW', 'aob, whose gain follows R', law)
     require_range('delay', asked.delay)
@@ -185,3 +194,5 @@ def _certify(
     if boxes and asked.attacks:
         result = certified_region.attack_region(loop, boxes, asked.attacks, rng)
         typer.echo(certified_region.describe_attacks(result))
+        if result.violations:
+            raise typer.Exit(EXIT_FAILED)
