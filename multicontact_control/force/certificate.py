@@ -28,7 +28,7 @@ from scipy.linalg import solve_discrete_lyapunov
 NODES = 13  # of ln R, between which P is linear
 CLUSTERING = 0.7  # of the nodes, 0 for equal steps
 LEADING = 3  # directions of a gain's ellipsoid that the program sees
-ROUNDS = 2  # of the search, each with nodes where the last was worst
+ROUNDS = 5  # of the search, each with the moves that the last left out to its harm
 WANTED_SHARE = 0.03  # of the fall of V at rest, that is searched for
 LARGEST_WANTED = 5e-4  # in a period
 NEARBY = np.geomspace(
@@ -116,39 +116,28 @@ def find_certificate(loop: GainScheduledLoop) -> Certificate | None:
         return None
     wanted = min(LARGEST_WANTED, WANTED_SHARE * at_rest)
     nodes = loop.choose_nodes()
+    moves = _list_moves(loop.tube, nodes)
+    searched = [i for i, move in enumerate(moves) if move.leaves_node()]
     for _ in range(ROUNDS):
-        found = _search(loop, nodes, wanted)
+        some = [moves[i] for i in searched]
+        found = _search(loop, nodes, some, wanted)
         if found is None:
             return None
-        P, at_nodes = found
-        moves = _list_moves(loop.tube, nodes, P)
-        first = np.interp([move.interval for move in moves], nodes, np.log(at_nodes))
-        multipliers, falls = _choose_multipliers(loop, moves, np.exp(first))
-        if falls.min() > 0.0:
-            for share in DECAYS:
-                contraction = 1.0 - share * falls.min()
-                if _is_proved(loop, moves, multipliers, contraction):
-                    return Certificate(loop.tube.edges[nodes], P, contraction)
-        more = _insert_nodes(nodes, moves, falls, 0.5 * wanted)
-        if len(more) == len(nodes):
-            return None
-        nodes = more
+        P, of_some = found
+        first = _interpolate_multipliers(moves, some, of_some)
+        multipliers, falls = _choose_multipliers(loop, P, moves, first)
+        worst = _find_worst(moves, falls, 0.5 * wanted)
+        left_out = [i for i in worst if i not in searched]
+        if not left_out:
+            break
+        searched += left_out
+    if falls.min() <= 0.0:
+        return None
+    for share in DECAYS:
+        contraction = 1.0 - share * falls.min()
+        if _is_proved(loop, P, moves, multipliers, contraction):
+            return Certificate(loop.tube.edges[nodes], P, contraction)
     return None
-
-
-def _insert_nodes(
-    nodes: Indices, moves: list[_Move], falls: Vector, enough: float
-) -> Indices:
-    """Return nodes with another where V falls least between two, if that is too little."""
-    intervals = np.array([move.interval for move in moves])
-    more = set(nodes.tolist())
-    for first, last in zip(nodes[:-1], nodes[1:]):
-        inside = np.flatnonzero((intervals >= first) & (intervals < last))
-        least = inside[falls[inside].argmin()]
-        if falls[least] < enough:
-            # An edge of that interval that is none of a node.
-            more.add(int(max(intervals[least], min(first + 1, last - 1))))
-    return np.array(sorted(more))
 
 
 def require_solver() -> None:
@@ -173,15 +162,28 @@ def _fall_at_rest(loop: GainScheduledLoop) -> float:
 
 @dataclass(frozen=True)
 class _Move:
-    """P before and after one period, of gains of one interval of the tube."""
+    """P before and after one period, as shares of P at the nodes, by gains of one interval."""
 
     interval: int
-    before: Matrix
-    after: Matrix
-    size: Matrix  # of the numbers that both were made of, entry by entry
+    segment: int  # number of the node below the interval
+    before: Vector  # shape (m,)
+    after: Vector
+
+    def leaves_node(self) -> bool:
+        """Whether it begins at a node and ends between the two nodes of its gains."""
+        inwards = self.after[self.segment : self.segment + 2].all()
+        return bool(self.before.max() == 1.0 and inwards)
 
 
-def _list_moves(tube: GainTube, nodes: Indices, P: Matrix) -> list[_Move]:
+def _mix(count: int, segment: int, share: float) -> Vector:
+    """Return the shares of `count` nodes at a share of the way through a segment."""
+    shares = np.zeros(count)
+    shares[segment] = 1.0 - share
+    shares[segment + 1] = share
+    return shares
+
+
+def _list_moves(tube: GainTube, nodes: Indices) -> list[_Move]:
     """
     Return what P can do in a period: with these moves every other one is proved.
 
@@ -191,39 +193,61 @@ def _list_moves(tube: GainTube, nodes: Indices, P: Matrix) -> list[_Move]:
     ends there, and that of a shorter one between these and staying at the node. Nothing passes
     floor and ceiling.
     """
-    moves = []
-    if len(nodes) == 1:
-        return [_Move(0, P[0], P[0], np.abs(P[0]))]
+    m = len(nodes)
+    if m == 1:
+        return [_Move(0, 0, np.ones(1), np.ones(1))]
     widths = np.diff(tube.edges[nodes])
-    slopes = np.diff(P, axis=0) / widths[:, None, None]
-    still = np.zeros_like(slopes[:1])
-    slopes = np.concatenate([still, slopes, still])
+    steps = tube.step / widths
+    moves = []
     for interval in range(len(tube.centres)):
         i = int(np.searchsorted(nodes[1:-1], interval, side='right'))
-        slope = slopes[i + 1]
-        low, high = tube.edges[interval : interval + 2] - tube.edges[nodes[i]]
-        starts = [(low, slope), (high, -slope)]
-        if interval == nodes[i]:
-            starts += [(low, -slopes[i]), (low, still[0]), (low + tube.step, -slope)]
+        edges = tube.edges[interval : interval + 2] - tube.edges[nodes[i]]
+        low, high = edges / widths[i]
+        at_low, at_high = _mix(m, i, low), _mix(m, i, high)
+        pairs = [
+            (at_low, _mix(m, i, low + steps[i])),
+            (at_high, _mix(m, i, high - steps[i])),
+        ]
+        if interval > nodes[i]:
+            pairs.append((at_low, _mix(m, i, low - steps[i])))
         else:
-            starts.append((low, -slope))
-        if interval + 1 == nodes[i + 1]:
-            starts += [
-                (high, slopes[i + 2]),
-                (high, still[0]),
-                (high - tube.step, slope),
-            ]
+            pairs += [(at_low, at_low), (_mix(m, i, steps[i]), at_low)]
+            if i > 0:
+                pairs.append((at_low, _mix(m, i - 1, 1.0 - steps[i - 1])))
+        if interval + 1 < nodes[i + 1]:
+            pairs.append((at_high, _mix(m, i, high + steps[i])))
         else:
-            starts.append((high, slope))
-        size = np.abs(P[max(i - 1, 0) : i + 3]).sum(axis=0)
-        for start, direction in starts:
-            before = P[i] + start * slope
-            moves.append(_Move(interval, before, before + tube.step * direction, size))
+            pairs += [(at_high, at_high), (_mix(m, i, 1.0 - steps[i]), at_high)]
+            if i + 2 < m:
+                pairs.append((at_high, _mix(m, i + 1, steps[i + 1])))
+        moves += [_Move(interval, i, before, after) for before, after in pairs]
     return moves
 
 
+def _find_worst(moves: list[_Move], falls: Vector, enough: float) -> list[int]:
+    """Return which move of each segment makes V fall least, where that is too little."""
+    segments = np.array([move.segment for move in moves])
+    worst = []
+    for segment in np.unique(segments):
+        inside = np.flatnonzero(segments == segment)
+        least = int(inside[falls[inside].argmin()])
+        if falls[least] < enough:
+            worst.append(least)
+    return worst
+
+
+def _interpolate_multipliers(
+    moves: list[_Move], some: list[_Move], of_some: Vector
+) -> Vector:
+    """Return multipliers of all moves from those of some, by interval, in the logarithm."""
+    known = np.array([move.interval for move in some])
+    order = np.argsort(known)
+    intervals = [move.interval for move in moves]
+    return np.exp(np.interp(intervals, known[order], np.log(of_some[order])))
+
+
 def _choose_multipliers(
-    loop: GainScheduledLoop, moves: list[_Move], first: Vector
+    loop: GainScheduledLoop, P: Matrix, moves: list[_Move], first: Vector
 ) -> tuple[Vector, Vector]:
     """
     Return for every move a multiplier, and by which share V seems to fall.
@@ -234,28 +258,29 @@ def _choose_multipliers(
     chosen = []
     falls = []
     for move, multiplier in zip(moves, first):
-        tried, fall = _measure_falls(loop, move, multiplier * NEARBY)
+        tried, fall = _measure_falls(loop, P, move, multiplier * NEARBY)
         chosen.append(tried[fall.argmax()])
         falls.append(fall.max())
     return np.array(chosen), np.array(falls)
 
 
 def _measure_falls(
-    loop: GainScheduledLoop, move: _Move, multipliers: Vector
+    loop: GainScheduledLoop, P: Matrix, move: _Move, multipliers: Vector
 ) -> tuple[Vector, Vector]:
     """Return multipliers, none of them too small, and by which share V falls with each."""
     s = loop.family.states
     plants = loop.family.vertices
+    before, after = np.tensordot(move.before, P, 1), np.tensordot(move.after, P, 1)
     A = loop.close(plants, loop.tube.centres[move.interval])
     H = plants[:, :, s:] @ loop.tube.shapes[move.interval]
-    values, vectors = np.linalg.eigh(np.swapaxes(H, -1, -2) @ move.after @ H)
+    values, vectors = np.linalg.eigh(np.swapaxes(H, -1, -2) @ after @ H)
     possible: Vector = np.maximum(multipliers, 1.001 * values.max())
     # In coordinates in which P before is 1, and Y = N M in its eigenvectors.
-    root = np.linalg.inv(np.linalg.cholesky(move.before))
+    root = np.linalg.inv(np.linalg.cholesky(before))
     normed = root @ np.swapaxes(A, -1, -2)
-    X = normed @ move.after @ H @ vectors
+    X = normed @ after @ H @ vectors
     c = root @ loop.family.innovation
-    rest = np.eye(s) - normed @ move.after @ np.swapaxes(normed, -1, -2)
+    rest = np.eye(s) - normed @ after @ np.swapaxes(normed, -1, -2)
     rest = rest - possible[:, None, None, None] * np.outer(c, c)
     inner = 1.0 / (possible[:, None, None] - values)
     rest = rest - (X * inner[:, :, None, :]) @ np.swapaxes(X, -1, -2)
@@ -265,6 +290,7 @@ def _measure_falls(
 
 def _is_proved(
     loop: GainScheduledLoop,
+    P: Matrix,
     moves: list[_Move],
     multipliers: Vector,
     contraction: float,
@@ -295,12 +321,15 @@ def _is_proved(
         for move, multiplier in zip(moves, multipliers):
             if move.interval != interval:
                 continue
-            after_size = 3.0 * move.size
-            rest = -np.swapaxes(F, -1, -2) @ move.after @ F
-            rest[:, :s, :s] += contraction * move.before
+            before = np.tensordot(move.before, P, 1)
+            after = np.tensordot(move.after, P, 1)
+            # Of the numbers that both were made of, entry by entry.
+            after_size = 3.0 * np.tensordot(move.before + move.after, np.abs(P), 1)
+            rest = -np.swapaxes(F, -1, -2) @ after @ F
+            rest[:, :s, :s] += contraction * before
             rest[:, :s, :s] -= multiplier * np.outer(c, c)
             rest[:, s:, s:] += multiplier * np.eye(n)
-            bent = np.swapaxes(F_size, -1, -2) @ (np.abs(move.after) @ off)
+            bent = np.swapaxes(F_size, -1, -2) @ (np.abs(after) @ off)
             whole = np.swapaxes(F_size, -1, -2) @ (after_size @ F_size)
             whole[:, :s, :s] += after_size
             radius = 1.01 * (bent + np.swapaxes(bent, -1, -2))
@@ -310,25 +339,25 @@ def _is_proved(
             if not are_positive_definite(rest, radius).all():
                 return False
             rounding = 16.0 * UNIT * after_size
-            if not are_positive_definite(move.before, rounding):
+            if not are_positive_definite(before, rounding):
                 return False
     return True
 
 
 def _search(
-    loop: GainScheduledLoop, nodes: Indices, wanted: float
+    loop: GainScheduledLoop, nodes: Indices, moves: list[_Move], wanted: float
 ) -> tuple[Matrix, Vector] | None:
     """
-    Return P and a multiplier at the nodes, from a semidefinite program, or None.
+    Return P at the nodes and a multiplier of each move, from a semidefinite program, or None.
 
     Minimised is the sum of traces of P, in coordinates in which a P for R at rest is 1, with the
-    inequalities of `_is_proved` at the nodes >= 1 for the wanted fall of V, for the corners of
-    the family, and for the leading directions of the gains.
+    inequalities of `_is_proved` >= 1 for the wanted fall of V, for the corners of the family, and
+    for the leading directions of the gains.
     """
     import clarabel
     from scipy import sparse
 
-    program = _Program(loop, nodes)
+    program = _Program(loop, nodes, moves)
     coefficients, constants = program.inequalities(wanted)
     cost = np.zeros(program.variables)
     cost[: program.of_P] = np.tile(to_vector(np.eye(program.s)), len(nodes))
@@ -337,7 +366,8 @@ def _search(
     settings.verbose = False
     settings.max_iter = 50
     settings.max_threads = 1
-    settings.tol_gap_rel = settings.tol_gap_abs = 1e-2
+    # Far from the least trace, where P is as bad as the inequalities that are searched allow.
+    settings.tol_gap_rel = settings.tol_gap_abs = 1.0
     settings.tol_feas = 1e-5
     no_square = sparse.csc_matrix((program.variables, program.variables))
     cones = [clarabel.PSDTriangleConeT(program.q)] * len(program.constraints)
@@ -353,17 +383,14 @@ def _search(
     if not np.isfinite(P).all() or np.linalg.eigvalsh(P).min() <= 0.0:
         return None
     multipliers = np.array(solution.x[program.of_P :]) / program.balance**2
-    at_nodes = multipliers.reshape(len(nodes), -1).max(axis=1)
-    return P, np.maximum(at_nodes, np.finfo(float).tiny)
+    return P, np.maximum(multipliers, np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
 class _Constraint:
-    """One inequality of the program, with P before and after by two neighbouring nodes."""
+    """The inequality of one move and one corner of the family."""
 
-    node: int  # the first of the two
-    before: float  # share of the second
-    after: float
+    move: _Move
     multiplier: int
     F: Matrix  # [A, leading directions of N M], in the coordinates of the program
     innovation: Vector  # c
@@ -372,23 +399,23 @@ class _Constraint:
 class _Program:
     """The semidefinite program of `_search` as matrices."""
 
-    def __init__(self, loop: GainScheduledLoop, nodes: Indices) -> None:
+    def __init__(
+        self, loop: GainScheduledLoop, nodes: Indices, moves: list[_Move]
+    ) -> None:
         tube = loop.tube
         self.s = s = loop.family.states
         self.q = s + min(LEADING, tube.centres.shape[-1])
-        self.nodes = nodes
         self.back = back = _coordinates(loop, nodes)
         self.of_P = len(nodes) * s * (s + 1) // 2
         forth = np.linalg.inv(back)
         c = loop.family.innovation @ forth
         self.constraints: list[_Constraint] = []
-        points = self._list_points(tube)
-        self.balance = np.zeros(len(points))
-        for number, (interval, node, before, after) in enumerate(points):
+        self.balance = np.zeros(len(moves))
+        for number, move in enumerate(moves):
             balance = 0.0
             for vertex in loop.family.vertices[loop.family.corners]:
-                A = back @ loop.close(vertex, tube.centres[interval]) @ forth
-                H = back @ vertex[:, s:] @ tube.shapes[interval]
+                A = back @ loop.close(vertex, tube.centres[move.interval]) @ forth
+                H = back @ vertex[:, s:] @ tube.shapes[move.interval]
                 vectors, values, _ = np.linalg.svd(H, full_matrices=False)
                 leading = vectors[:, : self.q - s] * values[: self.q - s]
                 # Both of one size; all corners have one multiplier.
@@ -396,22 +423,8 @@ class _Program:
                     balance = math.sqrt(np.linalg.norm(c) / max(values[0], 1e-300))
                 self.balance[number] = balance
                 F = np.hstack([A, leading * balance])
-                self.constraints.append(
-                    _Constraint(node, before, after, number, F, c / balance)
-                )
-        self.variables = self.of_P + len(points)
-
-    def _list_points(self, tube: GainTube) -> list[tuple[int, int, float, float]]:
-        """Return interval, first node, and the share of the second before and after a move."""
-        if len(self.nodes) == 1:
-            return [(0, 0, 0.0, 0.0)]
-        points = [(0, 0, 0.0, 0.0)]
-        for node, (first, last) in enumerate(zip(self.nodes[:-1], self.nodes[1:])):
-            step = tube.step / (tube.edges[last] - tube.edges[first])
-            points.append((first, node, 0.0, step))
-            points.append((min(last, len(tube.centres) - 1), node, 1.0, 1.0 - step))
-        points.append((len(tube.centres) - 1, node, 1.0, 1.0))
-        return points
+                self.constraints.append(_Constraint(move, number, F, c / balance))
+        self.variables = self.of_P + len(moves)
 
     def inequalities(self, wanted: float) -> tuple[Matrix, Vector]:
         """Return A and b of A x + slack = b, the slack of every constraint in the cone."""
@@ -426,18 +439,16 @@ class _Program:
         target[:s, :s] = np.eye(s)
         rows, columns, values = [], [], []
         for number, constraint in enumerate(self.constraints):
-            share, share_after = constraint.before, constraint.after
+            before, shares_after = constraint.move.before, constraint.move.after
             multiplier = np.zeros((q, q))
             multiplier[:s, :s] = np.outer(constraint.innovation, constraint.innovation)
             multiplier[s:, s:] = -np.eye(q - s)
-            first = (1.0 - share_after) * after[number] - (1.0 - share) * kept
-            second = share_after * after[number] - share * kept
             blocks = [
-                (constraint.node * of_node, first),
-                (self.of_P + constraint.multiplier, to_vector(multiplier)[:, None]),
+                (self.of_P + constraint.multiplier, to_vector(multiplier)[:, None])
             ]
-            if len(self.nodes) > 1:
-                blocks.append(((constraint.node + 1) * of_node, second))
+            for node in np.flatnonzero(before + shares_after).tolist():
+                of_P = shares_after[node] * after[number] - before[node] * kept
+                blocks.append((node * of_node, of_P))
             for column, block in blocks:
                 at = np.nonzero(block)
                 rows.append(at[0] + number * size)

@@ -219,6 +219,15 @@ def test_certificate_holds_in_exact_arithmetic(needs_solver):
             assert is_positive_definite_exactly(rest)
 
 
+def test_narrow_box_within_a_certified_one_is_certified(needs_solver):
+    """A program on few gains and one plant finds a P that others do not bear."""
+    model = model_of()
+    tube = enclose_gains(model.observer, LIMIT, H)
+    narrow = Box((K, K), (0.0066, 0.0066), (0.49, 0.49), (0.1, 0.1))
+    loop = GainScheduledLoop(enclose_loops(model, narrow), tube)
+    assert find_certificate(loop) is not None
+
+
 @pytest.mark.nightly
 def test_certified_loop_of_the_paper_withstands_adversaries(needs_solver):
     model = model_of()
