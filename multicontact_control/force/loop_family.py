@@ -19,6 +19,7 @@ from multicontact_control.force.observer import ObserverDesign
 import numpy as np
 
 Range = tuple[float, float]
+DEGREES = (3, 3, 2)  # in k, times k, in B and in t
 SERIES_TERMS = 12  # of motions over a period, |a| h^2 and b h below 1
 
 
@@ -67,12 +68,10 @@ def enclose_loops(model: ForceLoopModel, box: Box) -> LoopFamily:
     Return loops whose hull contains those of a box.
 
     With phi(t) the speed and gamma(t) the way after t of a unit impulse on
-    d^2z/dt^2 = -a z - b dz/dt, a = B k and b = B c, every entry of [A, N] is affine in k and
-    1 / k, and a polynomial of degree 2 in B and in the time t = d h - T_d for which the newer
-    input acts, and 1 in M_t, once phi(t) and gamma(t) are of degree 2. The curve (k, 1 / k) is
-    within the triangle of its ends and of where its tangents there meet; the coefficients of
-    Bernstein's form span a hull of the polynomial; what phi and gamma differ by from theirs is
-    the radius.
+    d^2z/dt^2 = -a z - b dz/dt, a = B k and b = B c, once both are affine in a and b and of degree
+    2 in t, every entry of [A, N] times k is a polynomial: of degree 3 in k and in B, 2 in the time
+    t = d h - T_d for which the newer input acts, and 1 in M_t. Its coefficients in Bernstein's
+    form over those of k span a hull; what phi and gamma differ by from theirs is the radius.
 
     Raises
     ------
@@ -86,29 +85,31 @@ def enclose_loops(model: ForceLoopModel, box: Box) -> LoopFamily:
     if first < (waiting - 1) * h - 1e-9 * h:
         raise ValueError('the delays of a box are those of one period')
     acting = (max(waiting * h - last, 0.0), min(waiting * h - first, h))
-    axes = (box.mobility, acting)
+    axes = (box.stiffness, box.mobility, acting)
+    points = [
+        np.linspace(*axis, 1 if axis[0] == axis[1] else degree + 1)
+        for axis, degree in zip(axes, DEGREES)
+    ]
+    shape = tuple(map(len, points))
     response = _approximate_response(model, box, acting)
     groups = []
-    marks = []
-    at_corners = _mark_corners(axes)
     for tool_mass in dict.fromkeys(box.tool_mass):
         for oldest_acts in dict.fromkeys((False, acting[0] == 0.0)):
-            for k, softness in _enclose_stiffness(box.stiffness):
-                values = []
-                for B, t in product(*(_three_points(axis) for axis in axes)):
-                    at = _Point(k, softness, B, tool_mass, t, oldest_acts)
-                    values.append(_loop_at(model, waiting, at, response))
-                grid = np.array(values).reshape(3, 3, *values[0].shape)
-                groups.append(_bernstein(grid, axes))
-                marks.append(at_corners & (k in box.stiffness))
+            values = []
+            for k, B, t in product(*points):
+                at = _Point(k, B, tool_mass, t, oldest_acts)
+                values.append(k * _loop_at(model, waiting, at, response))
+            grid = np.array(values).reshape(*shape, *values[0].shape)
+            groups.append(_span_hull(grid, points[0]))
+    marks = np.tile(_mark_corners(shape), len(groups))
     radius = _radius(model, box, waiting, response)
     vertices = np.concatenate(groups)
-    # Of some 200 roundings, in numbers up to 8 times those of the result.
-    rounding = 2000.0 * UNIT * np.abs(vertices).max(axis=0)
+    # Of some 200 roundings, in numbers up to 100 times those of the result.
+    rounding = 20_000.0 * UNIT * np.abs(vertices).max(axis=0)
     innovation = np.zeros(vertices.shape[1])
     innovation[waiting + 2] = 1.0
     innovation[waiting + 3] = -1.0
-    corners = np.flatnonzero(np.concatenate(marks))
+    corners = np.flatnonzero(marks)
     return LoopFamily(vertices, corners, radius + rounding, innovation)
 
 
@@ -117,7 +118,6 @@ class _Point:
     """A plant, where the entries of a loop are evaluated."""
 
     k: float
-    softness: float  # 1 / k
     B: float
     tool_mass: float
     t: float  # for which the newer input acts [s]
@@ -126,67 +126,90 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Response:
-    """The response to an impulse after a period and, as parabolas, after a part of it."""
+    """
+    The response to an impulse after a period and after a part of it, approximated.
 
-    way_h: float  # gamma(h) [s^2]
-    speed_h: float  # phi(h) [s]
-    way: Vector  # coefficients of gamma(t), highest first
-    speed: Vector  # of phi(t)
+    Way gamma [s^2] and speed phi [s] are the last axis; the axis before has the value for a and b
+    in the middle of a box, and the derivatives by a and by b there.
+    """
+
+    a: float  # of the middle
+    b: float
+    after_h: Matrix  # shape (3, 2)
+    curves: Matrix  # of t^2, t and 1, shape (3, 3, 2)
     way_radius: float
     speed_radius: float
 
+    def evaluate(self, a: float, b: float, t: float) -> tuple[Vector, Vector]:
+        """Return way and speed after a period, and after t."""
+        by_plant = np.array([1.0, a - self.a, b - self.b])
+        after_t = np.tensordot([t * t, t, 1.0], self.curves, 1)
+        return by_plant @ self.after_h, by_plant @ after_t
 
-def respond(a: float, b: float, t: float) -> tuple[float, float]:
+
+def respond(a: float, b: float, t: float) -> Matrix:
     """
     Return way and speed gamma(t), phi(t) of d^2z/dt^2 = -a z - b dz/dt after a unit impulse.
 
     By the series of phi; gamma(t) is its integral [s^2], phi(t) [s] as the way of an impulse.
+    Shape (3, 2): the values, their derivatives by a and by b.
     """
-    coefficient = 1.0  # of t^j / j! in phi', from j = 0 on
-    before = 0.0
-    way = speed = 0.0
+    coefficient = np.array([1.0, 0.0, 0.0])  # of t^j / j! in phi', from j = 0 on
+    before = np.zeros(3)
+    way, speed = np.zeros(3), np.zeros(3)
     for j in range(SERIES_TERMS):
         speed += coefficient * t ** (j + 1) / math.factorial(j + 1)
         way += coefficient * t ** (j + 2) / math.factorial(j + 2)
-        coefficient, before = -b * coefficient - a * before, coefficient
-    return way, speed
+        by_plant = np.array([0.0, before[0], coefficient[0]])
+        coefficient, before = -b * coefficient - a * before - by_plant, coefficient
+    return np.column_stack([way, speed])
 
 
 def _approximate_response(model: ForceLoopModel, box: Box, acting: Range) -> _Response:
     """
-    Return parabolas of gamma and phi for the middle of a box, and how far others are from them.
+    Return gamma and phi as parabolas of t, affine in a and b, and how far others are from them.
 
-    |phi'| <= 1 and |phi| <= t, since the energy phi'^2 + a phi^2 does not grow; so
-    |phi''| <= b + a h, |phi'''| <= a + b (b + a h), and by variation of constants
-    |dphi/da| <= t^3 / 6, |dphi/db| <= t^2 / 2, |dgamma/da| <= t^4 / 24, |dgamma/db| <= t^3 / 6. A
-    parabola through three equal steps of w / 2 is off by w^3 / (72 sqrt 3) of the third derivative
-    at most.
+    |phi'| <= 1 and |phi| <= t, since the energy phi'^2 + a phi^2 does not grow. So
+    |phi''| <= b + a h, |phi'''| <= a + b (b + a h), and by variation of constants, once for the
+    first derivatives by a and b, and again for the second, the bounds below. A parabola through
+    three equal steps of w / 2 is off by w^3 / (72 sqrt 3) of the third derivative at most.
     """
     h, c = model.period, model.surface_damping
     a_range = (box.stiffness[0] * box.mobility[0], box.stiffness[1] * box.mobility[1])
     b_range = (c * box.mobility[0], c * box.mobility[1])
     a, b = 0.5 * sum(a_range), 0.5 * sum(b_range)
     a_half, b_half = a_range[1] - a, b_range[1] - b
-    times = np.array(_three_points(acting))
-    curves = np.array([respond(a, b, t) for t in times])
+    curves = np.zeros((3, 3, 2))
     if acting[0] == acting[1]:
-        parabolas = np.zeros((3, 2))
-        parabolas[2] = curves[0]
+        curves[2] = respond(a, b, acting[0])
     else:
-        parabolas = np.linalg.solve(np.vander(times, 3), curves)
+        times = np.linspace(*acting, 3)
+        values = np.array([respond(a, b, t) for t in times])
+        of_powers = np.linalg.solve(np.vander(times, 3), values.reshape(3, -1))
+        curves = of_powers.reshape(3, 3, 2)
     most_a, most_b = a_range[1], b_range[1]
-    bend = most_b + most_a * h
-    off = (acting[1] - acting[0]) ** 3 / (72.0 * math.sqrt(3.0))
-    way_h, speed_h = respond(a, b, h)
+    # Bounds of derivatives by t: the second, the third, and these of the derivatives by a and b.
+    phi_2 = most_b + most_a * h
+    phi_3 = most_a + most_b * phi_2
+    phi_a_2 = h + most_a * h**3 / 6.0 + most_b * h**2 / 2.0
+    phi_a_3 = 1.0 + most_a * h**2 / 2.0 + most_b * phi_a_2
+    phi_b_2 = 1.0 + most_a * h**2 / 2.0 + most_b * h
+    phi_b_3 = phi_2 + most_a * h + most_b * phi_b_2
+    by_time = (acting[1] - acting[0]) ** 3 / (72.0 * math.sqrt(3.0))
+    # Taylor's remainders of degree 2 in a and b, of gamma and phi.
+    way_off = a_half**2 * h**6 / 720.0 + a_half * b_half * h**5 / 60.0
+    way_off += b_half**2 * h**4 / 24.0
+    speed_off = a_half**2 * h**5 / 120.0 + a_half * b_half * h**4 / 12.0
+    speed_off += b_half**2 * h**3 / 6.0
+    way_off += by_time * (phi_2 + a_half * phi_a_2 + b_half * phi_b_2)
+    speed_off += by_time * (phi_3 + a_half * phi_a_3 + b_half * phi_b_3)
     return _Response(
-        way_h,
-        speed_h,
-        parabolas[:, 0],
-        parabolas[:, 1],
-        1.01 * (off * bend + a_half * h**4 / 24.0 + b_half * h**3 / 6.0) + 1e-18,
-        1.01
-        * (off * (most_a + most_b * bend) + a_half * h**3 / 6.0 + b_half * h**2 / 2.0)
-        + 1e-15,
+        a,
+        b,
+        respond(a, b, h),
+        curves,
+        1.01 * way_off + 1e-18,
+        1.01 * speed_off + 1e-15,
     )
 
 
@@ -204,32 +227,33 @@ def _loop_at(
     # Of the state, and of K times the innovation, from `size` on: the ways, speeds and inputs
     # themselves, and k times these.
     itself = np.zeros((d + 3, size + n))
-    itself[: d + 2, : d + 2] = at.softness * np.eye(d + 2)
+    itself[: d + 2, : d + 2] = np.eye(d + 2) / at.k
     of_estimate = -observer.feedback.copy()
     of_estimate[0] += at.B * (1.0 - model.fed_share)
     itself[d + 2, predicted:size] = of_estimate
     itself[d + 2, size:] = of_estimate
-    itself[d + 2, 1] = -model.damping_rate * at.softness
+    itself[d + 2, 1] = -model.damping_rate / at.k
     by_k = itself.copy()
     by_k[: d + 2, : d + 2] = np.eye(d + 2)
     by_k[d + 2] *= at.k
     by_k[d + 2, 1] = -model.damping_rate
 
-    way_t = float(np.polyval(response.way, at.t))
-    speed_t = float(np.polyval(response.speed, at.t))
+    after_h, after_t = response.evaluate(at.B * at.k, b, at.t)
+    way_h, speed_h = after_h
+    way_t, speed_t = after_t
     # What the spring does is B times the force, k z.
     of_way = np.zeros(size + n)
     of_way[0] = at.B
     loop = np.zeros((size, size + n))
-    way = by_k[0] - at.k * response.way_h * of_way + response.speed_h * by_k[1]
-    loop[0] = way + (response.way_h - way_t) * by_k[2] + way_t * by_k[3]
-    after_h = 1.0 - b * response.speed_h
-    loop[1] = after_h * by_k[1] - at.k * (response.speed_h * of_way)
-    loop[1, 1] -= at.B * at.k * response.way_h
-    loop[1] += (response.speed_h - speed_t) * by_k[2] + speed_t * by_k[3]
-    speed = after_h * itself[1] - response.speed_h * of_way
-    speed[1] -= at.B * response.way_h
-    speed += (response.speed_h - speed_t) * itself[2] + speed_t * itself[3]
+    way = by_k[0] - at.k * way_h * of_way + speed_h * by_k[1]
+    loop[0] = way + (way_h - way_t) * by_k[2] + way_t * by_k[3]
+    damped = 1.0 - b * speed_h
+    loop[1] = damped * by_k[1] - at.k * (speed_h * of_way)
+    loop[1, 1] -= at.B * at.k * way_h
+    loop[1] += (speed_h - speed_t) * by_k[2] + speed_t * by_k[3]
+    speed = damped * itself[1] - speed_h * of_way
+    speed[1] -= at.B * way_h
+    speed += (speed_h - speed_t) * itself[2] + speed_t * itself[3]
     loop[2 : newest + 1] = by_k[3:]
     acting = itself[2] if at.oldest_acts else itself[3]
     force = loop[0] + model.surface_damping * speed
@@ -246,7 +270,7 @@ def _radius(
     """Return how far entries may be off because gamma and phi are, shape (s, s + n)."""
     stiffest, most_mobile = box.stiffness[1], box.mobility[1]
     softest = 1.0 / box.stiffness[0]
-    at = _Point(stiffest, softest, most_mobile, box.tool_mass[1], 0.0, False)
+    at = _Point(stiffest, most_mobile, box.tool_mass[1], 0.0, False)
     stiffest_loop = _loop_at(model, waiting, at, response)
     shape = stiffest_loop.shape
     answer = np.abs(stiffest_loop[waiting + 1])
@@ -272,45 +296,38 @@ def _radius(
     return radius
 
 
-def _three_points(axis: Range) -> tuple[float, float, float]:
-    return axis[0], 0.5 * (axis[0] + axis[1]), axis[1]
+def _mark_corners(shape: tuple[int, ...]) -> Mask:
+    """Return which vertices of `_span_hull` are values at corners, one after the other."""
+    marks = np.zeros(shape, dtype=bool)
+    marks[np.ix_(*([0, count - 1] for count in shape))] = True
+    return marks.ravel()
 
 
-def _enclose_stiffness(stiffness: Range) -> list[tuple[float, float]]:
-    """Return k and 1 / k at the corners of a triangle around the curve."""
-    low, high = stiffness
-    if low == high:
-        return [(low, 1.0 / low)]
-    whole = low + high
-    return [
-        (low, 1.0 / low),
-        (2.0 * low * high / whole, 2.0 / whole),
-        (high, 1.0 / high),
-    ]
-
-
-def _mark_corners(axes: tuple[Range, ...]) -> Mask:
-    """Return which coefficients of `_bernstein` are values at corners, one after the other."""
-    marks = np.ones(1, dtype=bool)
-    for low, high in axes:
-        of_axis = np.array([True]) if low == high else np.array([True, False, True])
-        marks = np.logical_and.outer(marks, of_axis).ravel()
-    return marks
-
-
-def _bernstein(grid: Matrix, axes: tuple[Range, ...]) -> Matrix:
+def _span_hull(grid: Matrix, stiffness: Vector) -> Matrix:
     """
-    Return the coefficients of Bernstein's form of parabolas given at three points of every axis.
+    Return points whose hull contains a polynomial of k, B and t over k, by its values on a grid.
 
-    Of f_0, f_1, f_2 they are f_0, 2 f_1 - (f_0 + f_2) / 2 and f_2; an axis of one point has one.
+    With Bernstein's polynomials, which are positive, sum p_i b_i / sum k_i b_i is a mean of
+    p_i / k_i.
     """
-    for number, (low, high) in enumerate(axes):
-        values = np.moveaxis(grid, number, 0)
-        if low == high:
-            coefficients = values[:1]
-        else:
-            middle = 2.0 * values[1] - 0.5 * (values[0] + values[2])
-            coefficients = np.stack([values[0], middle, values[2]])
-        grid = np.moveaxis(coefficients, 0, number)
-    vertices: Matrix = grid.reshape(-1, *grid.shape[len(axes) :])
-    return vertices
+    for axis in range(3):
+        values = np.moveaxis(grid, axis, 0)
+        grid = np.moveaxis(_bernstein(values), 0, axis)
+    of_k = _bernstein(stiffness)
+    grid = grid / of_k[:, None, None, None, None]
+    points: Matrix = grid.reshape(-1, *grid.shape[3:])
+    return points
+
+
+def _bernstein(values: Matrix) -> Matrix:
+    """Return coefficients in Bernstein's form of polynomials by values at equal steps."""
+    degree = len(values) - 1
+    shares = np.linspace(0.0, 1.0, degree + 1)
+    basis = np.array(
+        [
+            math.comb(degree, i) * shares**i * (1.0 - shares) ** (degree - i)
+            for i in range(degree + 1)
+        ]
+    )
+    coefficients = np.linalg.solve(basis.T, values.reshape(degree + 1, -1))
+    return coefficients.reshape(values.shape)
