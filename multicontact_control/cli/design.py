@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, TYPE_CHECKING
 
 from multicontact_control.choices import LawChoice
 from multicontact_control.cli.options import (
@@ -15,7 +17,12 @@ from multicontact_control.cli.options import (
 )
 import typer
 
+if TYPE_CHECKING:
+    from multicontact_control.commissioning.certified_region import CertifiedLoop
+    from multicontact_control.runs.scenario import Setup
+
 PICTURES = ('.png', '.pdf')
+Fastest = Literal['time_constant', 'damping_rate']
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class CertifyOptions:
         typer.Option(
             '--certify',
             help='Prove for which surfaces and delays the loop of a preset is stable, however R '
-            'changes; with --stiffness, find the fastest time constant that is proved there. '
+            'changes; with --stiffness, find the fastest loop that is proved there. '
             'Takes minutes.',
         ),
     ] = False
@@ -88,6 +95,13 @@ class CertifyOptions:
             min=0.0,
         ),
     ] = 0.1
+    fastest: Annotated[
+        Fastest,
+        typer.Option(
+            help='With --certify and --stiffness: the parameter of force that is made as fast as '
+            'can be proved, the shortest time_constant or the largest damping_rate, K_2.',
+        ),
+    ] = 'time_constant'
     attacks: Annotated[
         int,
         typer.Option(
@@ -145,14 +159,13 @@ def _certify(
     asked: CertifyOptions,
     out: Path | None,
 ) -> None:
-    """Print the certified region of a preset, or its fastest certified time constant."""
+    """Print the certified region of a preset, or its fastest certified loop."""
     from multicontact_control.commissioning import certified_region
     from multicontact_control.commissioning.certified_region import require_range
     from multicontact_control.errors import ConfigError
     from multicontact_control.force.certificate import require_solver
     from multicontact_control.runs.overrides import resolve_with
     from multicontact_control.runs.scenario import resolve
-    import numpy as np
 
     require_solver()
     if out is not None and not (out.suffix in PICTURES and out.parent.is_dir()):
@@ -165,18 +178,64 @@ def _certify(
     require_range('stiffness', model.stiffness, positive=True)
     settings = [f'controller.force.law={law}', *(asked.settings or ())]
     arguments = {'scenario': 'step', 'robot': asked.robot, 'preset': asked.preset}
-    setup = resolve_with(resolve, arguments, settings)
+
+    def resolve_more(more: Sequence[str]) -> Setup:
+        return resolve_with(resolve, arguments, [*settings, *more])
+
+    setup = resolve_more([])
     loop = certified_region.describe_loop(
         setup, asked.slew_time, asked.tool, asked.mobility
     )
-    typer.echo(certified_region.describe_assumptions(loop, setup.noise_estimator))
+    typer.echo(certified_region.describe_assumptions(loop, setup))
     if is_given(context, 'stiffness'):
-        force = setup.controller.force
-        found = certified_region.design_certified(
-            loop, force, model.stiffness, asked.delay, typer.echo
+        _design_certified(resolve_more, model.stiffness, asked)
+    else:
+        _print_region(loop, asked, out)
+
+
+def _design_certified(
+    resolve_more: Callable[[Sequence[str]], Setup],
+    stiffness: tuple[float, float],
+    asked: CertifyOptions,
+) -> None:
+    """Print the fastest loop that is certified for what is asked for."""
+    from multicontact_control.commissioning import certified_region
+
+    own = resolve_more([]).controller
+    parameter = asked.fastest
+    input_delay = max(0.5 * sum(asked.delay) - own.measuring_delay, 0.0)
+    of_model = [
+        f'controller.contacts.*.stiffness={math.sqrt(math.prod(stiffness)):.0f}',
+        f'controller.force.input_delay={input_delay:.5g}',
+    ]
+    typer.echo('with ' + ' '.join(f"--set '{setting}'" for setting in of_model))
+
+    def describe(value: float) -> CertifiedLoop:
+        """Return the loop with a value of the parameter."""
+        of_parameter = f'controller.force.{parameter}={value:g}'
+        return certified_region.describe_loop(
+            resolve_more([*of_model, of_parameter]),
+            asked.slew_time,
+            asked.tool,
+            asked.mobility,
         )
-        typer.echo(certified_region.describe_certified(found, force, model.stiffness))
-        return
+
+    found = certified_region.design_certified(
+        parameter, describe, stiffness, asked.delay, typer.echo
+    )
+    own_value = getattr(own.force, parameter)
+    typer.echo(
+        certified_region.describe_certified(
+            parameter, found, own_value, describe(own_value)
+        )
+    )
+
+
+def _print_region(loop: CertifiedLoop, asked: CertifyOptions, out: Path | None) -> None:
+    """Print, draw and attack the region in which a loop is certified."""
+    from multicontact_control.commissioning import certified_region
+    import numpy as np
+
     rng = np.random.default_rng(0)
     boxes = []
     edges = {}

@@ -7,7 +7,7 @@ For which surfaces and delays a configured force loop is certified; what attacks
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.commissioning.arm_loop import ArmLoop
-from multicontact_control.config import ForceConfig, NoiseEstimatorConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.adversary import attack, AttackedLoops
 from multicontact_control.force.certificate import (
@@ -24,8 +23,6 @@ from multicontact_control.force.certificate import (
     GainScheduledLoop,
 )
 from multicontact_control.force.gain_tube import enclose_gains, RateLimit
-from multicontact_control.force.laws.aob import design_aob
-from multicontact_control.force.laws.design import LoopModel
 from multicontact_control.force.loop_family import (
     Box,
     enclose_loops,
@@ -48,7 +45,11 @@ LARGEST_FALL = 1e4  # of V, after which an attack ends
 RUNS_PER_POINT = 16
 HELD = 12  # values of R of a boundary
 EDGE_TOLERANCE = 0.02  # relative, of simulated boundaries
-TIME_CONSTANTS = np.geomspace(0.01, 0.16, 13).tolist()  # s, of a design
+# What a design tries, the fastest first: time constants [s], K_2 [1/s].
+CANDIDATES = {
+    'time_constant': np.geomspace(0.01, 0.16, 13).round(4).tolist(),
+    'damping_rate': np.geomspace(200.0, 5.0, 13).round(1).tolist(),
+}
 OUTSIDE = """outside the model, and so of the proof: flexible drives, stiction, torque limits, loss
 of contact, what the contacts do to each other through the arm, samples without a force"""
 
@@ -380,25 +381,35 @@ def draw_region(
 
 
 class CertifiedDesign(NamedTuple):
-    """The fastest time constant whose region contains what was asked for."""
+    """The fastest candidate whose region contains what was asked for."""
 
-    time_constant: float  # [s]
+    value: float  # of the parameter: s or 1/s
     decay_rate: float  # the slowest that is certified [1/s]
+    loop: CertifiedLoop
 
 
 def design_certified(
-    loop: CertifiedLoop,
-    force: ForceConfig,
+    parameter: str,
+    describe: Callable[[float], CertifiedLoop],
     stiffness: Range,
     delay: Range,
     report: Callable[[str], None],
 ) -> CertifiedDesign:
     """
-    Return the fastest of the `TIME_CONSTANTS` with which all surfaces and delays are certified.
+    Return the fastest of the `CANDIDATES` with which all surfaces and delays are certified.
 
-    The model has the geometric mean of the stiffness [N/m] and the middle delay [s]. Found by
-    bisection: a slower loop is taken to be certified where a faster one is. Told to `report`, a
-    line each, is what was tried.
+    Found by bisection: a slower loop is taken to be certified where a faster one is.
+
+    Parameters
+    ----------
+    parameter
+        Of `force`: a key of `CANDIDATES`.
+    describe
+        Of a value of the parameter, its loop.
+    stiffness, delay
+        What is asked for [N/m], [s].
+    report
+        Is told what was tried, a line each.
 
     Raises
     ------
@@ -406,40 +417,31 @@ def design_certified(
         If none of those tried is certified.
 
     """
-    middle = LoopModel(
-        math.sqrt(stiffness[0] * stiffness[1]),
-        loop.model.damping_rate,
-        0.5 * (delay[0] + delay[1]),
-        loop.model.period,
-    )
+    values = CANDIDATES[parameter]
     best = None
-    low, high = 0, len(TIME_CONSTANTS)
+    low, high = 0, len(values)
     while low < high:
         tried = (low + high) // 2
-        time_constant = TIME_CONSTANTS[tried]
-        faster = force.model_copy(update={'time_constant': time_constant})
-        observer = design_aob(middle, faster)
-        candidate = replace(loop, model=replace(loop.model, observer=observer))
-        rates = []
-        for strip in split_delays(delay, loop.model.period):
-            rate = _certify_range(candidate, stiffness, strip)
-            rates.append(rate)
+        loop = describe(values[tried])
+        rate = math.inf
+        # The longest delays first, where loops mostly fail.
+        for strip in reversed(split_delays(delay, loop.model.period)):
+            rate = min(rate, _certify_range(loop, stiffness, strip))
             if rate == 0.0:
                 break
-        name = f'time constant {1e3 * time_constant:.1f} ms'
-        if min(rates) == 0.0:
+        name = f'{parameter} {values[tried]:g}'
+        if rate == 0.0:
             first, last = (1e3 * edge for edge in strip)
             report(f'{name}: not certified at T_d {first:.1f} to {last:.1f} ms')
             low = tried + 1
         else:
-            report(f'{name}: certified, decays at {min(rates):.3g} 1/s or faster')
-            best = CertifiedDesign(time_constant, min(rates))
+            report(f'{name}: certified, decays at {rate:.3g} 1/s or faster')
+            best = CertifiedDesign(values[tried], rate, loop)
             high = tried
     if best is None:
         raise ConfigError(
             'stiffness',
-            'a range that a time constant up to '
-            f'{1e3 * TIME_CONSTANTS[-1]:.0f} ms is certified on',
+            f'a range that a {parameter} from {values[0]:g} to {values[-1]:g} is certified on',
             f'{stiffness[0]:g} to {stiffness[1]:g} N/m',
         )
     return best
@@ -462,7 +464,7 @@ def _certify_range(loop: CertifiedLoop, stiffness: Range, delay: Range) -> float
     return min(of_stiff, _certify_range(loop, (low, middle), delay))
 
 
-def describe_assumptions(loop: CertifiedLoop, estimator: NoiseEstimatorConfig) -> str:
+def describe_assumptions(loop: CertifiedLoop, setup: Setup) -> str:
     """Return under which conditions a certificate holds, as lines of text."""
     limit = loop.limit
     rate = 'may jump'
@@ -475,10 +477,13 @@ def describe_assumptions(loop: CertifiedLoop, estimator: NoiseEstimatorConfig) -
         f'model: {loop.stiffness:g} N/m',
         OUTSIDE,
     ]
-    if estimator.slew_time < limit.slew_time:
+    if setup.controller.force.stiffness == 'adaptive':
+        lines.append('the stiffness of the model: held, not while it is found')
+    slew_time = setup.noise_estimator.slew_time
+    if slew_time < limit.slew_time:
         lines.append(
             f'for this to hold set noise_estimator.slew_time to {limit.slew_time:g} s; the '
-            f'configuration has {estimator.slew_time:g} s'
+            f'configuration has {slew_time:g} s'
         )
     return '\n'.join(lines)
 
@@ -521,13 +526,15 @@ def describe_attacks(result: AttackResult) -> str:
 
 
 def describe_certified(
-    found: CertifiedDesign, force: ForceConfig, stiffness: Range
+    parameter: str, found: CertifiedDesign, own: float, own_loop: CertifiedLoop
 ) -> str:
-    """Return a certified design and what it costs, as lines of text."""
-    middle = math.sqrt(stiffness[0] * stiffness[1])
+    """Return a certified design and what it costs beside a preset's own, as lines of text."""
+    gain, own_gain = (
+        loop.stiffness * loop.model.observer.feedback[0]
+        for loop in (found.loop, own_loop)
+    )
     return f"""force:
-  time_constant: {found.time_constant:.4g}
-model: {middle:.0f} N/m (--set 'controller.contacts.*.stiffness={middle:.0f}')
+  {parameter}: {found.value:g}
 certified decay     {found.decay_rate:.3g} 1/s or faster
-the preset has      {1e3 * force.time_constant:.3g} ms, {
-        found.time_constant / force.time_constant:.2f} times as slow is certified"""
+the preset has      {own:g}
+loop gain k L_1     {gain:.3g} 1/s^2, {gain / own_gain:.2f} of the preset's"""
