@@ -110,6 +110,13 @@ class CertifyOptions:
             min=0,
         ),
     ] = 0
+    jobs: Annotated[
+        int,
+        typer.Option(
+            help='With --certify: jobs at once on this machine; 0 for every core.',
+            min=0,
+        ),
+    ] = 0
 
 
 @flatten_options
@@ -221,7 +228,7 @@ def _design_certified(
         )
 
     found = certified_region.design_certified(
-        parameter, describe, stiffness, asked.delay, typer.echo
+        parameter, describe, stiffness, asked.delay, typer.echo, asked.jobs
     )
     own_value = getattr(own.force, parameter)
     typer.echo(
@@ -236,21 +243,18 @@ def _print_region(loop: CertifiedLoop, asked: CertifyOptions, out: Path | None) 
     from multicontact_control.commissioning import certified_region
     import numpy as np
 
-    rng = np.random.default_rng(0)
-    boxes = []
-    edges = {}
-    for strip in certified_region.split_delays(asked.delay, loop.model.period):
-        for box in certified_region.find_region(loop, strip):
-            boxes.append(box)
-            typer.echo(certified_region.describe_box(box, loop.model.period))
-        edges[strip] = certified_region.find_simulated_edges(loop, strip, rng)
-        typer.echo(certified_region.describe_edges(strip, edges[strip]))
-    share = certified_region.measure_share(boxes, edges)
+    strips = []
+    for strip in certified_region.map_region(loop, asked.delay, asked.jobs):
+        strips.append(strip)
+        typer.echo(certified_region.describe_strip(strip, loop.model.period))
+    share = certified_region.measure_share(strips)
     typer.echo(certified_region.describe_share(share))
     if out is not None:
-        certified_region.draw_region(boxes, edges, asked.preset).savefig(out, dpi=150)
+        certified_region.draw_region(strips, asked.preset).savefig(out, dpi=150)
         typer.echo(f'written to {out}')
+    boxes = [box for strip in strips for box in strip.boxes]
     if boxes and asked.attacks:
+        rng = np.random.default_rng(0)
         result = certified_region.attack_region(loop, boxes, asked.attacks, rng)
         typer.echo(certified_region.describe_attacks(result))
         if result.violations:

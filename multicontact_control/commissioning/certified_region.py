@@ -6,11 +6,12 @@ For which surfaces and delays a configured force loop is certified; what attacks
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
+from joblib import delayed, Parallel
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from multicontact_control.arrays import Matrix, Vector
@@ -27,6 +28,7 @@ from multicontact_control.force.loop_family import (
     Box,
     enclose_loops,
     ForceLoopModel,
+    LoopFamily,
     Range,
 )
 from multicontact_control.force.margins import find_last_stable, spectral_radius
@@ -71,17 +73,23 @@ class CertifiedLoop:
         family = enclose_loops(self.model, box)
         return find_certificate(GainScheduledLoop(family, tube))
 
-    def sample(self, stiffness: float, delay: float, rng: Generator) -> Matrix:
-        """Return [A, N] of one plant, of a tool and an arm within their ranges."""
-        tool_mass = float(rng.uniform(*self.tool_mass))
-        mobility = float(rng.uniform(*self.mobility))
+    def of_plant(
+        self, stiffness: float, delay: float, tool_mass: float, mobility: float
+    ) -> LoopFamily:
+        """Return the loop of one plant: a family of one."""
         point = Box(
             (stiffness, stiffness),
             (delay, delay),
             (tool_mass, tool_mass),
             (mobility, mobility),
         )
-        loop: Matrix = enclose_loops(self.model, point).vertices[0]
+        return enclose_loops(self.model, point)
+
+    def sample(self, stiffness: float, delay: float, rng: Generator) -> Matrix:
+        """Return [A, N] of one plant, of a tool and an arm within their ranges."""
+        tool_mass = float(rng.uniform(*self.tool_mass))
+        mobility = float(rng.uniform(*self.mobility))
+        loop: Matrix = self.of_plant(stiffness, delay, tool_mass, mobility).vertices[0]
         return loop
 
 
@@ -143,6 +151,37 @@ def split_delays(delay: Range, period: float) -> list[Range]:
     last = max(math.ceil(delay[1] / width - 1e-9), first + 1)
     edges = np.clip(width * np.arange(first, last + 1), *delay).tolist()
     return list(zip(edges[:-1], edges[1:]))
+
+
+class SimulatedEdges(NamedTuple):
+    """Up to which ratio of true and modelled stiffness a loop is stable, from 0.1 upwards."""
+
+    held: float  # with every R that is held
+    attacked: float  # and with those of adversaries
+
+
+class CertifiedStrip(NamedTuple):
+    """The region of one strip of delays."""
+
+    delay: Range  # [s]
+    boxes: list[CertifiedBox]
+    edges: SimulatedEdges
+
+
+def map_region(
+    loop: CertifiedLoop, delay: Range, jobs: int
+) -> Iterator[CertifiedStrip]:
+    """Yield the strips of a range of delays [s], computed by so many jobs, 0 for every core."""
+    tasks = (
+        delayed(_map_strip)(loop, strip, number)
+        for number, strip in enumerate(split_delays(delay, loop.model.period))
+    )
+    yield from Parallel(jobs or -1, return_as='generator')(tasks)
+
+
+def _map_strip(loop: CertifiedLoop, delay: Range, seed: int) -> CertifiedStrip:
+    edges = find_simulated_edges(loop, delay, np.random.default_rng(seed))
+    return CertifiedStrip(delay, list(find_region(loop, delay)), edges)
 
 
 def find_region(loop: CertifiedLoop, delay: Range) -> Iterator[CertifiedBox]:
@@ -233,13 +272,6 @@ def _make_attacked(
     )
 
 
-class SimulatedEdges(NamedTuple):
-    """Up to which ratio of true and modelled stiffness a loop is stable, from 0.1 upwards."""
-
-    held: float  # with every R that is held
-    attacked: float  # and with those of adversaries
-
-
 def find_simulated_edges(
     loop: CertifiedLoop, delay: Range, rng: Generator
 ) -> SimulatedEdges:
@@ -276,10 +308,8 @@ def _radius(
     loop: CertifiedLoop, ratio: float, delay: float, gains: Sequence[Vector]
 ) -> float:
     """Return the largest spectral radius with some held gains."""
-    k = ratio * loop.stiffness
     tool, arm = float(np.mean(loop.tool_mass)), float(np.mean(loop.mobility))
-    point = Box((k, k), (delay, delay), (tool, tool), (arm, arm))
-    family = enclose_loops(loop.model, point)
+    family = loop.of_plant(ratio * loop.stiffness, delay, tool, arm)
     s = family.states
     A, N = family.vertices[0][:, :s], family.vertices[0][:, s:]
     return max(spectral_radius(A + np.outer(N @ K, family.innovation)) for K in gains)
@@ -318,29 +348,23 @@ class RegionShare(NamedTuple):
     of_attacked: float  # over what withstands attacks
 
 
-def measure_share(
-    boxes: Sequence[CertifiedBox], edges: Mapping[Range, SimulatedEdges]
-) -> RegionShare:
+def measure_share(strips: Sequence[CertifiedStrip]) -> RegionShare:
     """Return which share of the stable area boxes cover, by the edges of every strip."""
-    certified = 0.0
-    for box in boxes:
-        certified += (box.delay[1] - box.delay[0]) * math.log(
-            box.ratio[1] / box.ratio[0]
-        )
-    held = attacked = 0.0
-    for (first, last), edge in edges.items():
-        if edge.held > 0.0:
-            held += (last - first) * math.log(edge.held / LOWEST_RATIO)
-        if edge.attacked > 0.0:
-            attacked += (last - first) * math.log(edge.attacked / LOWEST_RATIO)
+    certified = held = attacked = 0.0
+    for strip in strips:
+        width = strip.delay[1] - strip.delay[0]
+        for box in strip.boxes:
+            certified += width * math.log(box.ratio[1] / box.ratio[0])
+        if strip.edges.held > 0.0:
+            held += width * math.log(strip.edges.held / LOWEST_RATIO)
+        if strip.edges.attacked > 0.0:
+            attacked += width * math.log(strip.edges.attacked / LOWEST_RATIO)
     return RegionShare(
         certified / held if held else 0.0, certified / attacked if attacked else 0.0
     )
 
 
-def draw_region(
-    boxes: Sequence[CertifiedBox], edges: Mapping[Range, SimulatedEdges], title: str
-) -> Figure:
+def draw_region(strips: Sequence[CertifiedStrip], title: str) -> Figure:
     """Return the plane of k ratio and T_d: certified, simulated stable, not stable."""
     figure = Figure(figsize=(5.2, 3.4), layout='constrained')
     axes = figure.subplots()
@@ -361,14 +385,14 @@ def draw_region(
         )
         names.add(name)
 
-    for delay, edge in edges.items():
-        held, attacked = (max(ratio, LOWEST_RATIO) for ratio in edge)
+    for delay, boxes, edges in strips:
+        held, attacked = (max(ratio, LOWEST_RATIO) for ratio in edges)
         paint(delay, (LOWEST_RATIO, attacked), '#9ecae1', 'withstands attacks')
         paint(delay, (attacked, held), '#fdd0a2', 'stable with R held alone')
         paint(delay, (held, HIGHEST_RATIO), '#d9d9d9', 'unstable')
-    for box in boxes:
-        paint(box.delay, box.ratio, '#2171b5', 'certified')
-    delays = [1e3 * delay for strip in edges for delay in strip]
+        for box in boxes:
+            paint(delay, box.ratio, '#2171b5', 'certified')
+    delays = [1e3 * edge for strip in strips for edge in strip.delay]
     axes.set_xlim(min(delays), max(delays))
     axes.set_ylim(math.log10(LOWEST_RATIO), math.log10(HIGHEST_RATIO))
     ticks = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -394,11 +418,10 @@ def design_certified(
     stiffness: Range,
     delay: Range,
     report: Callable[[str], None],
+    jobs: int,
 ) -> CertifiedDesign:
     """
-    Return the fastest of the `CANDIDATES` with which all surfaces and delays are certified.
-
-    Found by bisection: a slower loop is taken to be certified where a faster one is.
+    Return the first of the `CANDIDATES` with which all surfaces and delays are certified.
 
     Parameters
     ----------
@@ -410,6 +433,8 @@ def design_certified(
         What is asked for [N/m], [s].
     report
         Is told what was tried, a line each.
+    jobs
+        How many boxes are certified at once, 0 for as many as there are cores.
 
     Raises
     ------
@@ -417,47 +442,49 @@ def design_certified(
         If none of those tried is certified.
 
     """
-    values = CANDIDATES[parameter]
-    best = None
-    low, high = 0, len(values)
-    while low < high:
-        tried = (low + high) // 2
-        loop = describe(values[tried])
-        rate = math.inf
-        # The longest delays first, where loops mostly fail.
-        for strip in reversed(split_delays(delay, loop.model.period)):
-            rate = min(rate, _certify_range(loop, stiffness, strip))
-            if rate == 0.0:
-                break
-        name = f'{parameter} {values[tried]:g}'
-        if rate == 0.0:
-            first, last = (1e3 * edge for edge in strip)
-            report(f'{name}: not certified at T_d {first:.1f} to {last:.1f} ms')
-            low = tried + 1
-        else:
-            report(f'{name}: certified, decays at {rate:.3g} 1/s or faster')
-            best = CertifiedDesign(values[tried], rate, loop)
-            high = tried
-    if best is None:
-        raise ConfigError(
-            'stiffness',
-            f'a range that a {parameter} from {values[0]:g} to {values[-1]:g} is certified on',
-            f'{stiffness[0]:g} to {stiffness[1]:g} N/m',
-        )
-    return best
+    for value in CANDIDATES[parameter]:
+        loop = describe(value)
+        rate = _certify_all(loop, stiffness, delay, jobs)
+        if rate > 0.0:
+            return CertifiedDesign(value, rate, loop)
+        report(f'{parameter} {value:g}: not certified')
+    raise ConfigError(
+        'stiffness',
+        f'a range that a {parameter} from {CANDIDATES[parameter][0]:g} to {value:g} is '
+        'certified on',
+        f'{stiffness[0]:g} to {stiffness[1]:g} N/m',
+    )
+
+
+def _certify_all(
+    loop: CertifiedLoop, stiffness: Range, delay: Range, jobs: int
+) -> float:
+    """Return the slowest decay certified on ranges of stiffness and delay, or 0 if not all is."""
+    count = math.ceil(math.log(stiffness[1] / stiffness[0]) / math.log(FIRST_FACTOR))
+    edges = np.geomspace(*stiffness, max(count, 1) + 1).tolist()
+    # Long delays and stiff surfaces first, where loops mostly fail.
+    tasks = (
+        delayed(_certify_range)(loop, (low, high), strip)
+        for strip in reversed(split_delays(delay, loop.model.period))
+        for low, high in reversed(list(zip(edges[:-1], edges[1:])))
+    )
+    slowest = math.inf
+    for rate in Parallel(jobs or -1, return_as='generator')(tasks):
+        slowest = min(slowest, rate)
+        if slowest == 0.0:
+            break
+    return slowest
 
 
 def _certify_range(loop: CertifiedLoop, stiffness: Range, delay: Range) -> float:
     """Return the slowest decay certified on a range of stiffness [N/m], or 0 if not all is."""
+    certificate = loop.certify(stiffness, delay)
+    if certificate is not None:
+        return certificate.decay_rate(loop.model.period)
     low, high = stiffness
-    if high / low <= FIRST_FACTOR:
-        certificate = loop.certify(stiffness, delay)
-        if certificate is not None:
-            return certificate.decay_rate(loop.model.period)
-        if high / low < LAST_FACTOR**2:
-            return 0.0
+    if high / low < LAST_FACTOR**2:
+        return 0.0
     middle = math.sqrt(low * high)
-    # The stiffest surfaces first, where loops mostly fail.
     of_stiff = _certify_range(loop, (middle, high), delay)
     if of_stiff == 0.0:
         return 0.0
@@ -499,13 +526,16 @@ def describe_box(box: CertifiedBox, period: float) -> str:
     )
 
 
-def describe_edges(delay: Range, edges: SimulatedEdges) -> str:
-    """Return up to where a strip is stable, as a line of text."""
-    first, last = (1e3 * edge for edge in delay)
-    return (
-        f'T_d {first:.1f} to {last:.1f} ms: withstands attacks up to {edges.attacked:.3f}, '
-        f'stable with R held up to {edges.held:.3f} of the stiffness'
+def describe_strip(strip: CertifiedStrip, period: float) -> str:
+    """Return the boxes of a strip, and up to where it is stable, as lines of text."""
+    first, last = (1e3 * edge for edge in strip.delay)
+    lines = [describe_box(box, period) for box in strip.boxes]
+    lines.append(
+        f'T_d {first:.1f} to {last:.1f} ms: withstands attacks up to '
+        f'{strip.edges.attacked:.3f}, stable with R held up to {strip.edges.held:.3f} of the '
+        'stiffness'
     )
+    return '\n'.join(lines)
 
 
 def describe_share(share: RegionShare) -> str:

@@ -4,6 +4,7 @@ import math
 
 from multicontact_control.commissioning.certified_region import (
     CertifiedBox,
+    CertifiedStrip,
     measure_share,
     require_range,
     SimulatedEdges,
@@ -18,10 +19,12 @@ import pytest
 
 def test_share_is_that_of_the_areas_by_the_logarithm_of_the_ratio():
     certificate = Certificate(np.zeros(1), np.eye(1)[None], 0.99)
-    strips = [(0.0, 0.001), (0.001, 0.002)]
-    boxes = [CertifiedBox((0.1, 1.0), strips[0], certificate)]
-    edges = {strips[0]: SimulatedEdges(10.0, 1.0), strips[1]: SimulatedEdges(0.0, 0.0)}
-    share = measure_share(boxes, edges)
+    box = CertifiedBox((0.1, 1.0), (0.0, 0.001), certificate)
+    strips = [
+        CertifiedStrip(box.delay, [box], SimulatedEdges(10.0, 1.0)),
+        CertifiedStrip((0.001, 0.002), [], SimulatedEdges(0.0, 0.0)),
+    ]
+    share = measure_share(strips)
     assert_allclose(share.of_held, 0.5)
     assert_allclose(share.of_attacked, 1.0)
 
