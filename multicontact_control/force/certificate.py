@@ -369,13 +369,15 @@ def _search(
     # Far from the least trace, where P is as bad as the inequalities that are searched allow.
     settings.tol_gap_rel = settings.tol_gap_abs = 1.0
     settings.tol_feas = 1e-5
+    # A slow loop's P is large: with the usual tolerance it seems impossible.
+    settings.tol_infeas_rel = settings.tol_infeas_abs = 1e-12
     no_square = sparse.csc_matrix((program.variables, program.variables))
     cones = [clarabel.PSDTriangleConeT(program.q)] * len(program.constraints)
     solver = clarabel.DefaultSolver(
         no_square, cost, coefficients, constants, cones, settings
     )
     solution = solver.solve()
-    if str(solution.status) in ('PrimalInfeasible', 'DualInfeasible'):
+    if 'Infeasible' in str(solution.status):
         return None
     vectors = np.array(solution.x[: program.of_P]).reshape(len(nodes), -1)
     P = program.back.T @ to_matrix(vectors, program.s) @ program.back
