@@ -250,7 +250,8 @@ def _print_region(loop: CertifiedLoop, asked: CertifyOptions, out: Path | None) 
     share = certified_region.measure_share(strips)
     typer.echo(certified_region.describe_share(share))
     if out is not None:
-        certified_region.draw_region(strips, asked.preset).savefig(out, dpi=150)
+        title = f'{asked.preset}, model of {loop.stiffness:g} N/m'
+        certified_region.draw_region(strips, title).savefig(out, dpi=150)
         typer.echo(f'written to {out}')
     boxes = [box for strip in strips for box in strip.boxes]
     if boxes and asked.attacks:

@@ -224,7 +224,7 @@ def attack_region(
 
     Each period of each run is held against the certificate: V must have fallen by its share.
     """
-    per_box = max(runs // len(boxes), 1)
+    per_box = math.ceil(runs / len(boxes))
     violations = 0
     share = 0.0
     growth = -math.inf
