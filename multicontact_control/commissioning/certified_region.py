@@ -40,6 +40,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 FIRST_FACTOR = 1.5  # of the stiffness, over the first box that is tried
 LAST_FACTOR = 1.07  # at which the search for a boundary ends
+STARTS = (1.0, 0.5, 2.0)  # true over modelled stiffness, where a region is looked for
 LOWEST_RATIO, HIGHEST_RATIO = 0.1, 10.0  # true over modelled stiffness, of the search
 STRIP = 0.5  # of a period, delays of one box
 LONGEST_ATTACK = 2000  # periods
@@ -181,30 +182,43 @@ def map_region(
 
 def _map_strip(loop: CertifiedLoop, delay: Range, seed: int) -> CertifiedStrip:
     edges = find_simulated_edges(loop, delay, np.random.default_rng(seed))
-    return CertifiedStrip(delay, list(find_region(loop, delay)), edges)
+    return CertifiedStrip(delay, find_region(loop, delay), edges)
 
 
-def find_region(loop: CertifiedLoop, delay: Range) -> Iterator[CertifiedBox]:
+def find_region(loop: CertifiedLoop, delay: Range) -> list[CertifiedBox]:
+    """Return certified boxes of one strip of delays, around the first start that has one."""
+    for start in STARTS:
+        boxes = _grow_region(loop, delay, start, upwards=True)
+        boxes += _grow_region(loop, delay, start, upwards=False)
+        if boxes:
+            return boxes
+    return []
+
+
+def _grow_region(
+    loop: CertifiedLoop, delay: Range, start: float, *, upwards: bool
+) -> list[CertifiedBox]:
     """
-    Yield certified boxes of one strip of delays, from a ratio of 1 upwards, then downwards.
+    Return certified boxes that follow each other from a ratio on.
 
     Where a box is not certified its factor becomes its square root, until that is below 1.07;
     there the region ends.
     """
-    for upwards in (True, False):
-        reached = 1.0
-        factor = FIRST_FACTOR
-        while factor >= LAST_FACTOR and LOWEST_RATIO < reached < HIGHEST_RATIO:
-            ratio = (reached, min(reached * factor, HIGHEST_RATIO))
-            if not upwards:
-                ratio = (max(reached / factor, LOWEST_RATIO), reached)
-            k = (ratio[0] * loop.stiffness, ratio[1] * loop.stiffness)
-            certificate = loop.certify(k, delay)
-            if certificate is None:
-                factor = math.sqrt(factor)
-                continue
-            yield CertifiedBox(ratio, delay, certificate)
-            reached = ratio[1] if upwards else ratio[0]
+    boxes = []
+    reached = start
+    factor = FIRST_FACTOR
+    while factor >= LAST_FACTOR and LOWEST_RATIO < reached < HIGHEST_RATIO:
+        ratio = (reached, min(reached * factor, HIGHEST_RATIO))
+        if not upwards:
+            ratio = (max(reached / factor, LOWEST_RATIO), reached)
+        k = (ratio[0] * loop.stiffness, ratio[1] * loop.stiffness)
+        certificate = loop.certify(k, delay)
+        if certificate is None:
+            factor = math.sqrt(factor)
+            continue
+        boxes.append(CertifiedBox(ratio, delay, certificate))
+        reached = ratio[1] if upwards else ratio[0]
+    return boxes
 
 
 class AttackResult(NamedTuple):
