@@ -68,7 +68,7 @@ BUDGETS = {
     'nodes': 28_700,
     'runs': 17_600,
     'judging': 27_400,
-    'commissioning': 10_900,
+    'commissioning': 10_950,
     'export': 4_500,
     'faults': 12_200,
     'study': 20_200,

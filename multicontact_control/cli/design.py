@@ -177,6 +177,12 @@ def _certify(
     require_solver()
     if out is not None and not (out.suffix in PICTURES and out.parent.is_dir()):
         raise ConfigError('out', 'a .png or .pdf in a folder that is there', str(out))
+    if is_given(context, 'stiffness') and (out is not None or asked.attacks):
+        raise ConfigError(
+            'stiffness',
+            'none with --out or --attacks, which are of a region',
+            'a range',
+        )
     if law != 'aob':
         raise ConfigError('LAW', 'aob, whose gain follows R', law)
     require_range('delay', asked.delay)
@@ -190,7 +196,7 @@ def _certify(
         return resolve_with(resolve, arguments, [*settings, *more])
 
     setup = resolve_more([])
-    loop = certified_region.describe_loop(
+    loop = certified_region.make_certified_loop(
         setup, asked.slew_time, asked.tool, asked.mobility
     )
     typer.echo(certified_region.describe_assumptions(loop, setup))
@@ -206,7 +212,8 @@ def _design_certified(
     asked: CertifyOptions,
 ) -> None:
     """Print the fastest loop that is certified for what is asked for."""
-    from multicontact_control.commissioning import certified_region
+    from multicontact_control.commissioning import certified_design
+    from multicontact_control.commissioning.certified_region import make_certified_loop
 
     own = resolve_more([]).controller
     parameter = asked.fastest
@@ -215,38 +222,42 @@ def _design_certified(
         f'controller.contacts.*.stiffness={math.sqrt(math.prod(stiffness)):.0f}',
         f'controller.force.input_delay={input_delay:.5g}',
     ]
-    typer.echo('with ' + ' '.join(f"--set '{setting}'" for setting in of_model))
 
-    def describe(value: float) -> CertifiedLoop:
-        """Return the loop with a value of the parameter."""
-        of_parameter = f'controller.force.{parameter}={value:g}'
-        return certified_region.describe_loop(
-            resolve_more([*of_model, of_parameter]),
-            asked.slew_time,
-            asked.tool,
-            asked.mobility,
-        )
+    def add_parameter(value: float) -> list[str]:
+        return [*of_model, f'controller.force.{parameter}={value:g}']
 
-    found = certified_region.design_certified(
-        parameter, describe, stiffness, asked.delay, typer.echo, asked.jobs
+    def make_loop(value: float) -> CertifiedLoop:
+        setup = resolve_more(add_parameter(value))
+        return make_certified_loop(setup, asked.slew_time, asked.tool, asked.mobility)
+
+    found = certified_design.design_certified(
+        parameter, make_loop, stiffness, asked.delay, typer.echo, asked.jobs
     )
     own_value = getattr(own.force, parameter)
     typer.echo(
-        certified_region.describe_certified(
-            parameter, found, own_value, describe(own_value)
+        certified_design.describe_certified(
+            parameter, found, own_value, make_loop(own_value)
         )
     )
+    certified = add_parameter(found.value)
+    typer.echo('certified with ' + ' '.join(f"--set '{each}'" for each in certified))
 
 
 def _print_region(loop: CertifiedLoop, asked: CertifyOptions, out: Path | None) -> None:
     """Print, draw and attack the region in which a loop is certified."""
     from multicontact_control.commissioning import certified_region
+    from multicontact_control.judging.display import make_count_bar
     import numpy as np
 
     strips = []
-    for strip in certified_region.map_region(loop, asked.delay, asked.jobs):
-        strips.append(strip)
-        typer.echo(certified_region.describe_strip(strip, loop.model.period))
+    count = len(certified_region.split_delays(asked.delay, loop.model.period))
+    with make_count_bar() as bar:
+        task = bar.add_task('strips of T_d', total=count)
+        for strip in certified_region.map_region(loop, asked.delay, asked.jobs):
+            strips.append(strip)
+            text = certified_region.describe_strip(strip, loop.model.period)
+            bar.console.print(text, highlight=False, soft_wrap=True)
+            bar.advance(task)
     share = certified_region.measure_share(strips)
     typer.echo(certified_region.describe_share(share))
     if out is not None:

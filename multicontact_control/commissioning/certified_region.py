@@ -6,7 +6,7 @@ For which surfaces and delays a configured force loop is certified; what attacks
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
@@ -48,11 +48,6 @@ LARGEST_FALL = 1e4  # of V, after which an attack ends
 RUNS_PER_POINT = 16
 HELD = 12  # values of R of a boundary
 EDGE_TOLERANCE = 0.02  # relative, of simulated boundaries
-# What a design tries, the fastest first: time constants [s], K_2 [1/s].
-CANDIDATES = {
-    'time_constant': np.geomspace(0.01, 0.16, 13).round(4).tolist(),
-    'damping_rate': np.geomspace(200.0, 5.0, 13).round(1).tolist(),
-}
 OUTSIDE = """outside the model, and so of the proof: flexible drives, stiction, torque limits, loss
 of contact, what the contacts do to each other through the arm, samples without a force"""
 
@@ -61,6 +56,7 @@ of contact, what the contacts do to each other through the arm, samples without 
 class CertifiedLoop:
     """A force loop whose region is asked for, and what is known of its R, tool and arm."""
 
+    contact: str
     model: ForceLoopModel
     stiffness: float  # of the model, to which ratios refer [N/m]
     limit: RateLimit
@@ -94,7 +90,7 @@ class CertifiedLoop:
         return loop
 
 
-def describe_loop(
+def make_certified_loop(
     setup: Setup,
     slew_time: float,
     tool_mass: Range | None = None,
@@ -117,6 +113,7 @@ def describe_loop(
     bounds = setup.controller.noise_variance
     own_mass, own_mobility = arm.tool_inertia[0, 0], arm.mobility[0, 0]
     return CertifiedLoop(
+        setup.controller.contact_names[0],
         arm.model_of(0),
         float(arm.stiffness[0]),
         RateLimit(bounds.smallest, bounds.largest, slew_time),
@@ -418,93 +415,6 @@ def draw_region(strips: Sequence[CertifiedStrip], title: str) -> Figure:
     return figure
 
 
-class CertifiedDesign(NamedTuple):
-    """The fastest candidate whose region contains what was asked for."""
-
-    value: float  # of the parameter: s or 1/s
-    decay_rate: float  # the slowest that is certified [1/s]
-    loop: CertifiedLoop
-
-
-def design_certified(
-    parameter: str,
-    describe: Callable[[float], CertifiedLoop],
-    stiffness: Range,
-    delay: Range,
-    report: Callable[[str], None],
-    jobs: int,
-) -> CertifiedDesign:
-    """
-    Return the first of the `CANDIDATES` with which all surfaces and delays are certified.
-
-    Parameters
-    ----------
-    parameter
-        Of `force`: a key of `CANDIDATES`.
-    describe
-        Of a value of the parameter, its loop.
-    stiffness, delay
-        What is asked for [N/m], [s].
-    report
-        Is told what was tried, a line each.
-    jobs
-        How many boxes are certified at once, 0 for as many as there are cores.
-
-    Raises
-    ------
-    ConfigError
-        If none of those tried is certified.
-
-    """
-    for value in CANDIDATES[parameter]:
-        loop = describe(value)
-        rate = _certify_all(loop, stiffness, delay, jobs)
-        if rate > 0.0:
-            return CertifiedDesign(value, rate, loop)
-        report(f'{parameter} {value:g}: not certified')
-    raise ConfigError(
-        'stiffness',
-        f'a range that a {parameter} from {CANDIDATES[parameter][0]:g} to {value:g} is '
-        'certified on',
-        f'{stiffness[0]:g} to {stiffness[1]:g} N/m',
-    )
-
-
-def _certify_all(
-    loop: CertifiedLoop, stiffness: Range, delay: Range, jobs: int
-) -> float:
-    """Return the slowest decay certified on ranges of stiffness and delay, or 0 if not all is."""
-    count = math.ceil(math.log(stiffness[1] / stiffness[0]) / math.log(FIRST_FACTOR))
-    edges = np.geomspace(*stiffness, max(count, 1) + 1).tolist()
-    # Long delays and stiff surfaces first, where loops mostly fail.
-    tasks = (
-        delayed(_certify_range)(loop, (low, high), strip)
-        for strip in reversed(split_delays(delay, loop.model.period))
-        for low, high in reversed(list(zip(edges[:-1], edges[1:])))
-    )
-    slowest = math.inf
-    for rate in Parallel(jobs or -1, return_as='generator')(tasks):
-        slowest = min(slowest, rate)
-        if slowest == 0.0:
-            break
-    return slowest
-
-
-def _certify_range(loop: CertifiedLoop, stiffness: Range, delay: Range) -> float:
-    """Return the slowest decay certified on a range of stiffness [N/m], or 0 if not all is."""
-    certificate = loop.certify(stiffness, delay)
-    if certificate is not None:
-        return certificate.decay_rate(loop.model.period)
-    low, high = stiffness
-    if high / low < LAST_FACTOR**2:
-        return 0.0
-    middle = math.sqrt(low * high)
-    of_stiff = _certify_range(loop, (middle, high), delay)
-    if of_stiff == 0.0:
-        return 0.0
-    return min(of_stiff, _certify_range(loop, (low, middle), delay))
-
-
 def describe_assumptions(loop: CertifiedLoop, setup: Setup) -> str:
     """Return under which conditions a certificate holds, as lines of text."""
     limit = loop.limit
@@ -515,7 +425,7 @@ def describe_assumptions(loop: CertifiedLoop, setup: Setup) -> str:
         f'R: {limit.smallest:g} to {limit.largest:g} N^2, {rate}',
         f'tool: {loop.tool_mass[0]:.3g} to {loop.tool_mass[1]:.3g} kg; '
         f'mobility: {loop.mobility[0]:.4g} to {loop.mobility[1]:.4g} 1/kg; '
-        f'model: {loop.stiffness:g} N/m',
+        f'model of {loop.contact}: {loop.stiffness:g} N/m',
         OUTSIDE,
     ]
     if setup.controller.force.stiffness == 'adaptive':
@@ -567,18 +477,3 @@ def describe_attacks(result: AttackResult) -> str:
         f'largest V {result.largest_share:.4f} of what is certified, '
         f'largest growth of a norm by e^{result.largest_growth:.1f}'
     )
-
-
-def describe_certified(
-    parameter: str, found: CertifiedDesign, own: float, own_loop: CertifiedLoop
-) -> str:
-    """Return a certified design and what it costs beside a preset's own, as lines of text."""
-    gain, own_gain = (
-        loop.stiffness * loop.model.observer.feedback[0]
-        for loop in (found.loop, own_loop)
-    )
-    return f"""force:
-  {parameter}: {found.value:g}
-certified decay     {found.decay_rate:.3g} 1/s or faster
-the preset has      {own:g}
-loop gain k L_1     {gain:.3g} 1/s^2, {gain / own_gain:.2f} of the preset's"""

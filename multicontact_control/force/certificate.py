@@ -28,7 +28,7 @@ from scipy.linalg import solve_discrete_lyapunov
 NODES = 13  # of ln R, between which P is linear
 CLUSTERING = 0.7  # of the nodes, 0 for equal steps
 LEADING = 3  # directions of a gain's ellipsoid that the program sees
-ROUNDS = 5  # of the search, each with the moves that the last left out to its harm
+ROUNDS = 5  # of the search, each with the worst moves of the last
 WANTED_SHARE = 0.03  # of the fall of V at rest, that is searched for
 LARGEST_WANTED = 5e-4  # in a period
 NEARBY = np.geomspace(
